@@ -1,0 +1,1 @@
+"""The command `menid`: one file per command, thin."""

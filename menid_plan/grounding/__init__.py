@@ -1,0 +1,1 @@
+"""From a lifted domain and a problem to what holds and happens in a state."""

@@ -1,0 +1,1 @@
+"""The MENID text: reading, checking, formatting and writing it."""

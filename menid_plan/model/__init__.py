@@ -1,0 +1,1 @@
+"""Domains and problems as frozen values; see `domain`, `rules`, `formulas`, `expressions`, `text`."""

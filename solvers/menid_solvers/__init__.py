@@ -1,0 +1,1 @@
+"""Solvers for menid-plan, found through the entry-point group ``menid_plan.solvers``."""
