@@ -1,0 +1,68 @@
+"""The command `menid` and its list of subcommands, each loaded when it is called."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from typing import Any
+
+import click
+
+from menid_plan import __version__
+from menid_plan.cli.common import report_diagnostics
+from menid_plan.errors import InputError, MenidError
+
+# The module menid_plan.cli.NAME holds the function `command`.
+_COMMANDS = {
+    "check": "Report every error in domain and problem files.",
+    "explain": "Show which actions apply in a state, and why or why not.",
+    "fmt": "Bring files into the canonical layout.",
+    "init": "Write a commented domain and problem to start from.",
+    "show": "Show what a file declares, each rule as a table.",
+}
+
+
+class _LazyGroup(click.Group):
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return sorted(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in _COMMANDS:
+            return None
+        command = importlib.import_module(f"menid_plan.cli.{cmd_name}").command
+        assert isinstance(command, click.Command)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, _COMMANDS[name]) for name in self.list_commands(ctx)])
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except InputError as error:
+            report_diagnostics(error.diagnostics, err=True)
+            ctx.exit(error.exit_code)
+        except MenidError as error:
+            click.echo(f"menid: {error}", err=True)
+            ctx.exit(error.exit_code)
+        except BrokenPipeError:
+            # The reader of our output is gone; keep Python from complaining about it at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            ctx.exit(0)
+        except OSError as error:
+            click.echo(f"menid: {error.filename or ''}: {error.strerror or error}", err=True)
+            ctx.exit(2)
+
+
+@click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="menid")
+def main() -> None:
+    """Write what a robot's actions do, check it, and see what it means.
+
+    DOMAIN and PROBLEM are .menid files; one file may hold both. `-` is standard input.
+
+    Exit codes: 0 fine, 1 a negative answer, 2 wrong usage, 3 bad input, 4 not expressible in the
+    target language, 5 a backend failed, 6 a limit was hit.
+    """

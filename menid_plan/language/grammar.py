@@ -1,0 +1,87 @@
+"""The parser that Lark makes of ``grammar/menid.lark``, its table kept between runs.
+
+With the reader of PPDDL this is the only module that imports Lark.
+"""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import Any
+
+from lark import Lark, logger
+from lark.exceptions import UnexpectedInput
+from lark.lexer import Lexer as LarkLexer
+from platformdirs import user_cache_path
+
+from menid_plan import resources
+from menid_plan.language import syntax
+from menid_plan.language.tokens import Lexer, Terminal
+
+SYNTAX_ERRORS = (UnexpectedInput, syntax.NestingError)
+
+_STARTS = ("file", "domain", "problem", "declaration", "action", "rule", "row", "block_row")
+
+
+class GivenTokens(LarkLexer):
+    """Hands on the tokens that the parser is given in place of a text."""
+
+    def __init__(self, conf: Any) -> None:
+        del conf
+
+    def lex(self, tokens: Any) -> Iterator[Any]:  # type: ignore[override]
+        """The tokens themselves."""
+        return iter(tokens)
+
+
+def parse_tokens(tokens: list[syntax.Token], start: str) -> Any:
+    """The node that the tokens make, by the grammar's rule ``start``; raises SYNTAX_ERRORS."""
+    with _without_collection():
+        return _lark().parse(tokens, start=start)  # type: ignore[arg-type]
+
+
+@cache
+def lexer() -> Lexer:
+    """The lexer of the MENID grammar."""
+    return Lexer(
+        Terminal(t.name, t.pattern.type == "str", t.pattern.value, t.priority)
+        for t in _lark().terminals
+    )
+
+
+@cache
+def _lark() -> Lark:
+    # Lark logs a cache file that it can't use and then does without; users need not know.
+    logger.disabled = True
+    return Lark(
+        (resources.folder("grammar") / "menid.lark").read_text(encoding="utf-8"),
+        parser="lalr",
+        lexer=GivenTokens,
+        start=list(_STARTS),
+        transformer=syntax.Builder(),
+        cache=_cache_file(),
+    )
+
+
+def _cache_file() -> str | bool:
+    """Where the parse table is kept between runs; False where no folder can be written."""
+    folder = user_cache_path("menid-plan")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return str(folder / "menid.parser")
+
+
+@contextmanager
+def _without_collection() -> Iterator[None]:
+    """Switch the cycle collector off: a tree is all live, and scanning a big one costs a third."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
