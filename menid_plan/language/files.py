@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,13 +60,19 @@ def load(path: str | Path) -> bytes:
         return file.read(MAX_BYTES + 1)
 
 
-def check_files(paths: Iterable[str | Path]) -> list[CheckResult]:
+def check_files(
+    paths: Iterable[str | Path], contents: Mapping[str, bytes] | None = None
+) -> list[CheckResult]:
     """Check files, each problem against its domain; one result for each path, in order.
 
     The domain of a problem that stands alone is looked for among the files, then beside it. If a
-    domain found beside it has errors, they are reported with the problem's.
+    domain found beside it has errors, they are reported with the problem's. ``contents`` has the
+    bytes of files that were read already.
     """
-    texts = [(path, *decode(load(path), _name(path))) for path in paths]
+    contents = contents or {}
+    texts = [
+        (path, *decode(contents.get(str(path)) or load(path), _name(path))) for path in paths
+    ]
     parsed = [(path, None if bad else parse(source), bad) for path, source, bad in texts]
     known: dict[str, Known] = {}
     results: dict[int, CheckResult] = {}
