@@ -14,7 +14,7 @@ _EXCERPT_WIDTH = 100
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SourceFile:
-    """A text and the name to call it by in messages. Lines end with ``\\n`` alone.
+    """A text and the name to call it by in messages. Lines end with a line feed alone.
 
     Two files are the same only if they are the same object: spans of different readings never mix.
     """
@@ -120,7 +120,7 @@ def render(diagnostic: Diagnostic, style: Callable[[str, str], str] | None = Non
     ``style(text, role)`` may colour a part; roles are ``place``, ``error``, ``warning``, ``caret``
     and ``hint``.
     """
-    paint = style or (lambda text, role: text)
+    paint = style or (lambda text, _role: text)
     span = diagnostic.span
     headline = (
         f"{paint(f'{span}:', 'place')} "
@@ -145,7 +145,9 @@ def _excerpt(span: Span, paint: Callable[[str, str], str]) -> list[str]:
     # A tab stays a tab in the line of the caret, so that the two lines stay aligned.
     indent = "".join("\t" if c == "\t" else " " for c in before + text[left:start])
     caret = "^" * max(1, min(end, left + _EXCERPT_WIDTH) - start)
-    printable = "".join(c if c.isprintable() or c == "\t" else "\N{REPLACEMENT CHARACTER}" for c in shown)
+    printable = "".join(
+        c if c.isprintable() or c == "\t" else "\N{REPLACEMENT CHARACTER}" for c in shown
+    )
     gutter = f"{line:>5} | "
     return [
         f"{gutter}{before}{printable}{after}",

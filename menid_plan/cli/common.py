@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import io
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TextIO, TypeVar
 
 import click
 
 from menid_plan.errors import InputError
-from menid_plan.language.files import Document, check_files
+from menid_plan.language.check import CheckResult
+from menid_plan.language.files import check_files
 from menid_plan.model.domain import Domain, Problem
 from menid_plan.source import Diagnostic, render
 
@@ -45,29 +49,40 @@ def report_diagnostics(diagnostics: Iterable[Diagnostic], *, err: bool = False) 
         click.echo(text, err=err)
 
 
-def load_domain(paths: Iterable[str]) -> Document:
-    """The domain, and the problem if there is one, of one file or two.
+def checked(paths: Iterable[str]) -> list[CheckResult]:
+    """What is in the files; warnings go to standard error.
 
-    Raises InputError if there is an error in them, click.UsageError if they hold no domain.
+    Raises InputError if there is an error in them, click.UsageError if they hold two domains or two
+    problems.
     """
     results = check_files(list(paths))
     diagnostics = [d for result in results for d in result.diagnostics]
     if any(d.is_error for d in diagnostics):
         raise InputError(diagnostics)
     report_diagnostics(diagnostics, err=True)
-    domains = [r.domain for r in results if r.domain is not None]
-    problems = [r.problem for r in results if r.problem is not None]
-    if len(domains) > 1 or len(problems) > 1:
-        raise click.UsageError("the files hold more than one domain or problem")
-    if not domains:
-        raise click.UsageError("the files hold no domain; give DOMAIN and then PROBLEM")
-    return Document(domains[0], problems[0] if problems else None)
+    for kind, count in (
+        ("domain", sum(r.domain is not None for r in results)),
+        ("problem", sum(r.problem is not None for r in results)),
+    ):
+        if count > 1:
+            raise click.UsageError(f"the files hold {count} {kind}s; give one")
+    return results
 
 
 def load_both(paths: Iterable[str]) -> tuple[Domain, Problem]:
-    """The domain and the problem of one file or two; see `load_domain`."""
-    document = load_domain(paths)
-    if document.problem is None:
-        raise click.UsageError("the files hold no problem; give DOMAIN and then PROBLEM")
-    assert document.domain is not None
-    return document.domain, document.problem
+    """The problem in the files and its domain, which may be found beside it; see `checked`."""
+    for result in checked(paths):
+        if result.problem is not None and result.known is not None:
+            return result.known.domain, result.problem
+    raise click.UsageError("the files hold no problem; give DOMAIN PROBLEM")
+
+
+@contextmanager
+def opened(output: Path | None) -> Iterator[TextIO]:
+    """The stream for results: a file, or standard output. A file appears only when it is whole."""
+    if output is None:
+        yield sys.stdout
+        return
+    buffer = io.StringIO()
+    yield buffer
+    output.write_text(buffer.getvalue(), encoding="utf-8")

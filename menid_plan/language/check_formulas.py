@@ -49,7 +49,7 @@ class FormulaChecker:
             case syntax.Count(variables, formula, comparison, number):
                 declared, inner = self.variables(variables, scope)
                 body = self.formula(formula, inner)
-                operator = cast(fo.Comparison, comparison.value)
+                operator = cast("fo.Comparison", comparison.value)
                 return fo.Count(declared, body, operator, self.whole_number(number))
             case syntax.Truth(token):
                 return fo.Truth(token.value == "true")
@@ -172,16 +172,14 @@ class FormulaChecker:
             case syntax.Minus(_, operand):
                 return ex.Minus(self._expression(operand))
             case syntax.Arithmetic(left, operator, right):
-                sign = cast(ex.Operator, operator.value)
+                sign = cast("ex.Operator", operator.value)
                 return ex.Arithmetic(sign, self._expression(left), self._expression(right))
 
     def param(self, token: Token) -> ex.ParamName:
         """A param, declared."""
         name = token.value
         if name not in self.names.params:
-            self.report.unknown(
-                "M205", "param", token, self.names.params, self._difference(name)
-            )
+            self.report.unknown("M205", "param", token, self.names.params, self._difference(name))
         return ex.ParamName(name)
 
     def _difference(self, name: str) -> str | None:
@@ -199,7 +197,7 @@ class FormulaChecker:
         if any(values.get(name) is None for name in ex.params_in(expression)):
             return None
         try:
-            return ex.evaluate(expression, cast(dict[str, float], values))
+            return ex.evaluate(expression, cast("dict[str, float]", values))
         except ex.EvaluationError as error:
             self.report.error("M413", f"this expression has no value: {error}", node)
             return None

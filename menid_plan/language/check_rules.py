@@ -26,6 +26,7 @@ from menid_plan.model.rules import (
     UniversalEffect,
 )
 
+
 class RuleChecker(FormulaChecker):
     """Actions and rules of a domain; ``doc`` gives the comment above a token."""
 
@@ -156,7 +157,7 @@ class RuleChecker(FormulaChecker):
         count = 0
         while count < len(items) and self._is_cell(items[count]):
             count += 1
-        cells = tuple(self.cell(cast(syntax.Cell, item)) for item in items[:count])
+        cells = tuple(self.cell(cast("syntax.Cell", item)) for item in items[:count])
         if count != width:
             self._wrong_width(row, width, count, has_head)
         for item, cell in zip(items[:count], cells, strict=True):
@@ -202,7 +203,7 @@ class RuleChecker(FormulaChecker):
         params = self.names.params
         if any(self.value(cell, place) is None for cell in cells):
             return
-        reason = fault(cells, cast(dict[str, float], params))
+        reason = fault(cells, cast("dict[str, float]", params))
         if reason is None or not reason.startswith("sums"):
             return  # a negative one is reported at its cell
         total = sum(v for v in (self.value(cell, place) for cell in cells) if v is not None)

@@ -29,7 +29,7 @@ class Document:
 def decode(data: bytes, name: str) -> tuple[SourceFile, list[Diagnostic]]:
     """The text of a file's bytes; with a diagnostic if they are not UTF-8.
 
-    A leading byte-order mark is dropped, and every line end becomes ``\\n``. Raises LimitError if
+    A leading byte-order mark is dropped, and every line end becomes a line feed. Raises LimitError if
     there are more than MAX_BYTES.
     """
     if len(data) > MAX_BYTES:
@@ -70,9 +70,7 @@ def check_files(
     bytes of files that were read already.
     """
     contents = contents or {}
-    texts = [
-        (path, *decode(contents.get(str(path)) or load(path), _name(path))) for path in paths
-    ]
+    texts = [(path, *decode(contents.get(str(path)) or load(path), _name(path))) for path in paths]
     parsed = [(path, None if bad else parse(source), bad) for path, source, bad in texts]
     known: dict[str, Known] = {}
     results: dict[int, CheckResult] = {}
@@ -124,7 +122,9 @@ def _check_problem(syntax: SyntaxResult, path: Path, known: dict[str, Known]) ->
 def find_domain(problem: Path, name: str) -> Path | None:
     """The file beside a problem's that declares the domain: ``domain.menid`` first."""
     folder = Path() if str(problem) == "-" else problem.parent
-    declares = re.compile(rb"^\s*domain\s+" + re.escape(name.encode()) + rb"(?![\w-])", re.MULTILINE)
+    declares = re.compile(
+        rb"^\s*domain\s+" + re.escape(name.encode()) + rb"(?![\w-])", re.MULTILINE
+    )
     try:
         others = sorted(folder.glob("*.menid"))
     except OSError:
@@ -154,7 +154,7 @@ def parse_text(text: str, domain: Domain | None = None, *, name: str = "<text>")
             Span(source, token.start, token.end), "pass it as `domain`",
         )  # fmt: skip
         raise InputError((*result.diagnostics, missing))
-    return _document(check_syntax(syntax, Known.of(domain) if domain else None), domain)
+    return _document(check_syntax(syntax, Known.of(domain) if domain else None))
 
 
 def read(path: str | Path, domain: Domain | str | Path | None = None) -> Document:
@@ -168,20 +168,14 @@ def read(path: str | Path, domain: Domain | str | Path | None = None) -> Documen
         source, bad = decode(load(path), _name(path))
         if bad:
             raise InputError(bad)
-        return _document(check_syntax(parse(source), Known.of(domain)), domain)
+        return _document(check_syntax(parse(source), Known.of(domain)))
     results = check_files([path] if domain is None else [path, domain])
-    for result in results:
-        if result.has_errors:
-            raise InputError(result.diagnostics)
-    given = results[1].domain if len(results) > 1 else None
-    if results[0].domain is None and results[0].problem is not None and given is None:
-        beside = find_domain(Path(path), results[0].problem.domain)
-        assert beside is not None
-        given = read(beside).domain
-    return _document(results[0], given)
+    return _document(*results)
 
 
-def _document(result: CheckResult, domain: Domain | None) -> Document:
-    if result.has_errors:
-        raise InputError(result.diagnostics)
-    return Document(result.domain or domain, result.problem)
+def _document(result: CheckResult, *others: CheckResult) -> Document:
+    """What the first result holds, if none has errors."""
+    diagnostics = [d for r in (result, *others) for d in r.diagnostics]
+    if any(d.is_error for d in diagnostics):
+        raise InputError(diagnostics)
+    return Document(result.known.domain if result.known else None, result.problem)

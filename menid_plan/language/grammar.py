@@ -18,6 +18,7 @@ from platformdirs import user_cache_path
 
 from menid_plan import resources
 from menid_plan.language import syntax
+from menid_plan.language.builder import Builder
 from menid_plan.language.tokens import Lexer, Terminal
 
 SYNTAX_ERRORS = (UnexpectedInput, syntax.NestingError)
@@ -60,7 +61,7 @@ def _lark() -> Lark:
         parser="lalr",
         lexer=GivenTokens,
         start=list(_STARTS),
-        transformer=syntax.Builder(),
+        transformer=Builder(),
         cache=_cache_file(),
     )
 

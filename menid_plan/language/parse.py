@@ -158,7 +158,9 @@ class _Recovery:
             if rule is not None:
                 rules.append(rule)
         # The head is right if it parses before a rule that is.
-        stand_in: syntax.Action | None = self._quietly([*head, *_stand_in(head[-1]), close], "action")
+        stand_in: syntax.Action | None = self._quietly(
+            [*head, *_stand_in(head[-1]), close], "action"
+        )
         if stand_in is None:
             self._fail([*head, *_stand_in(head[-1]), close], "action")
             return None

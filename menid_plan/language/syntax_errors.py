@@ -31,10 +31,17 @@ def explain(error: Any, piece: list[Token], stream: TokenStream) -> Diagnostic:
         message += f", found `{shown(found.value)}`"
         span = Span(stream.source, found.start, found.end)
     code = "M101"
-    if reserved and found is not None and expected & {"NAME", "NAME_COLON"} and _as_name(found, following):
+    if (
+        reserved
+        and found is not None
+        and expected & {"NAME", "NAME_COLON"}
+        and _as_name(found, following)
+    ):
         code = "M102"
         message = f"`{found.value}` is a reserved word and can't be a name"
-    return Diagnostic("error", code, message, span, _hint(found, previous, following, expected, piece))
+    return Diagnostic(
+        "error", code, message, span, _hint(found, previous, following, expected, piece)
+    )
 
 
 def _place(
@@ -59,7 +66,18 @@ def _as_name(found: Token, following: Token | None) -> bool:
     """Whether a reserved word seems meant as a name: something follows it that follows names."""
     if found.type in ("NOT", "EXISTS", "FORALL", "COUNT", "TRUE", "FALSE", "NOTHING"):
         return False
-    return following is None or following.value in ("(", ")", ",", ":", "=", "{", "|", "<", "for", "..")
+    return following is None or following.value in (
+        "(",
+        ")",
+        ",",
+        ":",
+        "=",
+        "{",
+        "|",
+        "<",
+        "for",
+        "..",
+    )
 
 
 def _list(expected: set[str]) -> str:
@@ -78,9 +96,7 @@ def _list(expected: set[str]) -> str:
         }  # fmt: skip
         rest -= declarations
         words.append("a declaration")
-    if rest - {"$END"}:
-        rest.discard("$END")
-    elif "$END" in rest and words:
+    if rest - {"$END"} or ("$END" in rest and words):
         rest.discard("$END")
     operators = rest & _OPERATORS
     if len(rest) - len(operators) >= 1 and len(operators) > 1:
@@ -128,7 +144,9 @@ def _hint(
         return "a name followed by `(` is an atom; put the param in parentheses too: (p) (1 - p)"
     if value == "=" and previous is not None and previous.value == "=":
         return "`=` compares two objects"
-    if "COLON" in expected or ("NAME_COLON" in expected and previous is not None and previous.type == "NAME"):
+    if "COLON" in expected or (
+        "NAME_COLON" in expected and previous is not None and previous.type == "NAME"
+    ):
         return "a variable is declared with its type: x: TYPE"
     if found.type == "WHEN" and "OUTCOMES" in expected:
         return "a rule has one `when`, after its references; join conditions with `and`"
@@ -136,7 +154,12 @@ def _hint(
         return "references come before `when`"
     if "EQUAL" in expected and value == ":":
         return "write `=` here"
-    if previous is not None and previous.type == "NAME" and "COMMA" in expected and found.type == "NAME":
+    if (
+        previous is not None
+        and previous.type == "NAME"
+        and "COMMA" in expected
+        and found.type == "NAME"
+    ):
         return "names are separated by commas"
     if found.type == "NOT" and previous is not None and previous.value == "(":
         return None

@@ -44,7 +44,7 @@ class Table:
         split = [self._split(tokens) for tokens in rows]
         name_width = max((len(row.name) for row in split), default=0)
         count = max((len(row.cells) for row in split), default=0)
-        widths = [max((len(r.cells[i]) for r in split if i < len(r.cells))) for i in range(count)]
+        widths = [max(len(r.cells[i]) for r in split if i < len(r.cells)) for i in range(count)]
         start = len(indent) + name_width + sum(width + 1 for width in widths) + 2
         rewards = max((len(text_of(row.reward)) + 2 for row in split if row.reward), default=0)
         room = WIDTH - start - rewards
@@ -58,7 +58,11 @@ class Table:
             head += "  " if row.cells else " "
             effect = text_of(row.effects)
             if len(effect) <= room:
-                tail = f"{effect.ljust(effects_width)}  {text_of(row.reward)}" if row.reward else effect
+                tail = (
+                    f"{effect.ljust(effects_width)}  {text_of(row.reward)}"
+                    if row.reward
+                    else effect
+                )
                 lines.append([(head + tail).rstrip()])
             else:
                 lines.append(wrap([*row.effects, *row.reward], head, more))

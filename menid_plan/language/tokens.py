@@ -163,9 +163,12 @@ def _note_bad(source: SourceFile, start: int, end: int, diagnostics: list[Diagno
     named = f"`{value}`" if value.isprintable() else f"the character U+{ord(value):04X}"
     diagnostics.append(
         Diagnostic(
-            "error", "M003", f"{named} has no meaning here", Span(source, start, end),
+            "error",
+            "M003",
+            f"{named} has no meaning here",
+            Span(source, start, end),
             _SUGGESTIONS.get(value),
-        )  # fmt: skip
+        )
     )
 
 

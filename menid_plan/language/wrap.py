@@ -21,8 +21,10 @@ _DECLARES = frozenset("the forall exists count per".split())
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A token, the text it adds to its line (the space before it included), and the rank of a break
-    before it: the lower, the sooner a long line is broken there; None, never.
+    """A token and the text it adds to its line, the space before it included.
+
+    ``rank`` is that of a break before it: the lower, the sooner a long line is broken there; None
+    where it never is.
     """
 
     token: Token

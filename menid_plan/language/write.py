@@ -100,7 +100,7 @@ def _objects(keyword: str, objects: Sequence[Object]) -> Iterator[str]:
             for name, value in first.attributes
         )
         yield from _doc(first.doc)
-        names = ", ".join(_ranges([o.name for o in objects[start:end]]))
+        names = ", ".join(ranges([o.name for o in objects[start:end]]))
         yield f"{keyword} {names}: {first.type}" + (f" ({attributes})" if attributes else "")
         start = end
 
@@ -112,7 +112,7 @@ def _alike(first: Object, other: Object) -> bool:
 _NUMBERED = re.compile(r"(.*?)(0|[1-9][0-9]{0,17})", re.ASCII)
 
 
-def _ranges(names: Sequence[str]) -> Iterator[str]:
+def ranges(names: Sequence[str]) -> Iterator[str]:
     """Names in order, runs of three or more such as n1, n2, n3 as ``n1..n3``."""
     start = 0
     while start < len(names):
@@ -196,5 +196,3 @@ def _problem(problem: Problem) -> Iterator[str]:
         yield f"horizon {problem.horizon}"
     if problem.discount is not None:
         yield f"discount {number_text(problem.discount)}"
-
-

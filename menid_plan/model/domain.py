@@ -16,10 +16,6 @@ Role: TypeAlias = Literal["target", "test"]
 OBJECT = "object"
 
 
-def _span() -> Span | None:
-    return field(default=None, compare=False, repr=False)
-
-
 @dataclass(frozen=True, slots=True)
 class Type:
     """A type and the one that it specialises."""
@@ -27,7 +23,7 @@ class Type:
     name: str
     parent: str = OBJECT
     doc: str = ""
-    span: Span | None = _span()
+    span: Span | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +34,7 @@ class Object:
     type: str = OBJECT
     attributes: tuple[tuple[str, float], ...] = ()
     doc: str = ""
-    span: Span | None = _span()
+    span: Span | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +44,7 @@ class Param:
     name: str
     value: Expression
     doc: str = ""
-    span: Span | None = _span()
+    span: Span | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +54,7 @@ class Environment:
     name: str
     role: Role
     doc: str = ""
-    span: Span | None = _span()
+    span: Span | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +64,7 @@ class Predicate:
     name: str
     arguments: tuple[tuple[str, ...], ...] = ()
     doc: str = ""
-    span: Span | None = _span()
+    span: Span | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +75,7 @@ class DerivedPredicate:
     parameters: tuple[TypedVariable, ...]
     formula: Formula
     doc: str = ""
-    span: Span | None = _span()
+    span: Span | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +86,7 @@ class StateReward:
     condition: Formula
     variables: tuple[TypedVariable, ...] = ()
     doc: str = ""
-    span: Span | None = _span()
+    span: Span | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +103,7 @@ class Domain:
     rewards: tuple[StateReward, ...] = ()
     actions: tuple[Action, ...] = ()
     doc: str = ""
-    span: Span | None = _span()
+    span: Span | None = field(default=None, compare=False, repr=False)
 
     @property
     def all_environments(self) -> tuple[Environment, ...]:
@@ -150,7 +146,7 @@ class Problem:
     discount: float | None = None
     dead_end_reward: Expression | None = None
     doc: str = ""
-    span: Span | None = _span()
+    span: Span | None = field(default=None, compare=False, repr=False)
 
 
 def param_values(

@@ -102,9 +102,7 @@ def _expression(expression: Expression, place: int) -> str:
             return f"-{_expression(operand, 3)}"
         case Arithmetic(operator, left, right):
             strength = _STRENGTH[operator]
-            text = (
-                f"{_expression(left, strength)} {operator} {_expression(right, strength + 1)}"
-            )
+            text = f"{_expression(left, strength)} {operator} {_expression(right, strength + 1)}"
             return text if strength >= place else f"({text})"
 
 
@@ -115,7 +113,9 @@ def cell_text(expression: Expression) -> str:
             return number_text(value)
         case ParamName(name):
             return name
-        case Arithmetic("/", Number(left), Number(right)) if left.is_integer() and right.is_integer():
+        case Arithmetic("/", Number(left), Number(right)) if (
+            left.is_integer() and right.is_integer()
+        ):
             return f"{number_text(left)}/{number_text(right)}"
         case _:
             return f"({expression_text(expression)})"

@@ -1,0 +1,133 @@
+"""Checks a problem against the names of its domain."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from menid_plan.language import syntax
+from menid_plan.language.check_formulas import FormulaChecker
+from menid_plan.language.declarations import Declarations, Documentation, param_values_of
+from menid_plan.language.names import Names
+from menid_plan.language.report import Report
+from menid_plan.language.syntax import Token
+from menid_plan.model.domain import (
+    Domain,
+    Param,
+    Problem,
+)
+from menid_plan.model.expressions import Expression, params_in
+from menid_plan.model.formulas import Formula, GroundAtom
+from menid_plan.model.probabilities import column_faults
+
+
+class ProblemChecker(FormulaChecker, Declarations):
+    """Checks a problem against the names of its domain."""
+
+    def __init__(self, report: Report, names: Names, docs: Documentation) -> None:
+        super().__init__(report, names)
+        self.doc: Callable[[Token], str] = docs
+
+    def problem(self, node: syntax.Problem, domain: Domain) -> Problem:
+        """The problem of a tree; worth something only if nothing was reported."""
+        if node.domain.value != domain.name and node.domain.value and domain.name:
+            self.report.error(
+                "M212", f"the problem is for `{node.domain.value}`, the domain is `{domain.name}`",
+                node.domain, f"write `for {domain.name}`, or give the other domain",
+            )  # fmt: skip
+        single: dict[str, Any] = {}
+        for item in node.items:
+            if isinstance(item, syntax.Goal | syntax.Horizon | syntax.Discount | syntax.DeadEnd):
+                if item.keyword.value in single:
+                    self.report.error(
+                        "M432", f"a problem has at most one `{item.keyword.value}`", item.keyword
+                    )
+                single.setdefault(item.keyword.value, item)
+        objects = [
+            o
+            for item in node.items
+            if isinstance(item, syntax.Objects)
+            for o in self.objects(item, self.type(item.type))
+        ]
+        params = self._params([i for i in node.items if isinstance(i, syntax.Param)], domain)
+        init = self._init([i for i in node.items if isinstance(i, syntax.Init)])
+        goal: syntax.Goal | None = single.get("goal")
+        dead_end: syntax.DeadEnd | None = single.get("dead-end")
+        formula: Formula | None = self.formula(goal.formula, {}) if goal else None
+        self._values_of_blocks(domain, node.name)
+        return Problem(
+            node.name.value, node.domain.value, params, tuple(objects), init, formula,
+            self.expression(goal.reward) if goal and goal.reward else None,
+            self.whole_number(single["horizon"].number) if "horizon" in single else None,
+            self._discount(single["discount"].number) if "discount" in single else None,
+            self.expression(dead_end.reward) if dead_end else None,
+            self.doc(node.keyword), self.report.span(node.keyword, node.name),
+        )  # fmt: skip
+
+    def _params(self, nodes: Sequence[syntax.Param], domain: Domain) -> tuple[Param, ...]:
+        expressions: dict[str, tuple[Expression, Any]] = {
+            p.name: (p.value, nodes[0].name) for p in domain.params if nodes
+        }
+        seen: dict[str, Token] = {}
+        params = []
+        for node in nodes:
+            name = node.name
+            if seen.setdefault(name.value, name) is not name:
+                self.report.duplicate("param", name, seen[name.value])
+            if name.value not in self.names.params:
+                self.report.unknown(
+                    "M205", "param", name, self.names.params,
+                    None if self.names.params else "a problem sets params of its domain anew",
+                )  # fmt: skip
+            value = self._expression(node.value)
+            expressions[name.value] = (value, node.value)
+            span = self.report.span(node.keyword, name)
+            params.append(Param(name.value, value, self.doc(node.keyword), span))
+        if nodes:
+            before = len(self.report.diagnostics)
+            self.names.params.update(param_values_of(self.report, expressions))
+            if not any(d.is_error for d in self.report.diagnostics[before:]):
+                self._columns_again(nodes, domain)
+        return tuple(params)
+
+    def _columns_again(self, nodes: Sequence[syntax.Param], domain: Domain) -> None:
+        """Setting a param can spoil a column that summed to 1 before."""
+        values = {name: v for name, v in self.names.params.items() if v is not None}
+        if len(values) < len(self.names.params) or any(d.is_error for d in self.report.diagnostics):
+            return
+        for fault in column_faults(domain, values):
+            used = {p for cell in fault.column.cells for p in params_in(cell)}
+            node = next((n for n in nodes if n.name.value in used), nodes[0])
+            self.report.error("M424", f"with the params of this problem, {fault}", node.name)
+
+    def _init(self, nodes: Sequence[syntax.Init]) -> tuple[GroundAtom, ...]:
+        atoms: dict[GroundAtom, None] = {}
+        for node in nodes:
+            for atom in node.atoms:
+                checked = self.atom(atom, {}, basic_for="in `init`")
+                atoms[GroundAtom(checked.predicate, tuple(t.name for t in checked.arguments))] = (
+                    None
+                )
+        return tuple(atoms)
+
+    def _discount(self, token: Token) -> float:
+        value = float(token.value)
+        if value > 1:
+            self.report.error("M431", f"a discount is between 0 and 1, not {token.value}", token)
+        return value
+
+    def _values_of_blocks(self, domain: Domain, place: Token) -> None:
+        """Warns of blocks for objects that this problem lacks: they are kept, and not used."""
+        missing: dict[str, str] = {}
+        for action in domain.actions:
+            for rule in action.rules:
+                for block in (*rule.probabilities, *rule.observed):
+                    for value in block.values:
+                        if value not in self.names.objects:
+                            missing.setdefault(value, f"{action.name}.{rule.name}")
+        for value, rule_name in list(missing.items())[:5]:
+            more = f", and {len(missing) - 5} more such" if len(missing) > 5 else ""
+            self.report.warning(
+                "M502", f"rule {rule_name} has a block for `{value}`, no object here{more}", place,
+                "the block is kept, and not used in this problem",
+            )  # fmt: skip
