@@ -14,6 +14,7 @@ from typing import Any
 from lark import Lark, logger
 from lark.exceptions import UnexpectedInput
 from lark.lexer import Lexer as LarkLexer
+from lark.parsers.lalr_analysis import Shift
 from platformdirs import user_cache_path
 
 from menid_plan import resources
@@ -41,6 +42,34 @@ def parse_tokens(tokens: list[syntax.Token], start: str) -> Any:
     """The node that the tokens make, by the grammar's rule ``start``; raises SYNTAX_ERRORS."""
     with _without_collection():
         return _lark().parse(tokens, start=start)  # type: ignore[arg-type]
+
+
+def accepted(error: UnexpectedInput) -> set[str]:
+    """The terminals that could have stood where Lark found the error.
+
+    Lark offers the same as ``error.accepts``, but copies all that has been parsed for each try.
+    """
+    state = error.interactive_parser.parser_state
+    table = state.parse_conf.states
+    return {
+        terminal
+        for terminal in table[state.state_stack[-1]]
+        if terminal.isupper() and _shifts(terminal, list(state.state_stack), table)
+    }
+
+
+def _shifts(terminal: str, stack: list[Any], table: Any) -> bool:
+    """Whether a terminal is shifted at last, after the reductions that it calls for."""
+    while True:
+        entry = table[stack[-1]].get(terminal)
+        if entry is None:
+            return False
+        action, rule = entry
+        if action is Shift:
+            return True
+        if rule.expansion:
+            del stack[-len(rule.expansion) :]
+        stack.append(table[stack[-1]][rule.origin.name][1])
 
 
 @cache

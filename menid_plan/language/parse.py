@@ -8,6 +8,7 @@ not hide those in the others. This module alone imports Lark, and only when a te
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -37,10 +38,8 @@ def parse(source: SourceFile) -> SyntaxResult:
     """Parse a text. Never raises for what the text holds."""
     stream = lexer().split(source)
     if not stream.diagnostics:
-        try:
+        with suppress(*SYNTAX_ERRORS):
             return SyntaxResult(stream, parse_tokens(stream.tokens, "file"), [])
-        except SYNTAX_ERRORS:
-            pass
     return _Recovery(stream).run()
 
 
@@ -53,6 +52,8 @@ _PROBLEM_STARTS = frozenset("PARAM OBJECT INIT GOAL HORIZON DISCOUNT DEAD_END".s
 _HEADERS = frozenset(["DOMAIN", "PROBLEM"])
 # These words may also stand inside a declaration; they start one only outside all brackets.
 _AMBIGUOUS = frozenset(["REWARD", "OBJECT", "DEAD_END"])
+# After these a name follows.
+_NAMING = frozenset("DOMAIN PROBLEM TYPE PARAM PREDICATE DERIVED ACTION".split())
 _DECLARATION_STARTS = _DOMAIN_STARTS | _PROBLEM_STARTS | _HEADERS
 
 _INSTEAD = {
@@ -81,7 +82,7 @@ class _Recovery:
     def run(self) -> SyntaxResult:
         pieces = list(declarations(self.stream.tokens))
         for piece in pieces:
-            if len(self.diagnostics) - len(self.stream.diagnostics) >= MAX_SYNTAX_ERRORS:
+            if self._is_full:
                 self._error(
                     "M106", f"more than {MAX_SYNTAX_ERRORS} syntax errors: the rest is not read",
                     piece[0],
@@ -93,10 +94,14 @@ class _Recovery:
             elif piece[0].type in _DECLARATION_STARTS:
                 self._declaration(piece)
             else:
-                self._fail(piece, "file")
+                self._try(piece, "file")
         self.diagnostics.extend(self._unclosed(pieces))
         tree = syntax.File(self.domain, self.problem)
         return SyntaxResult(self.stream, tree, self.diagnostics, self.lost)
+
+    @property
+    def _is_full(self) -> bool:
+        return len(self.diagnostics) - len(self.stream.diagnostics) >= MAX_SYNTAX_ERRORS
 
     def _header(self, piece: list[Token]) -> None:
         kind = "domain" if piece[0].type == "DOMAIN" else "problem"
@@ -144,13 +149,15 @@ class _Recovery:
             items.append(node)
 
     def _action(self, piece: list[Token]) -> syntax.Action | None:
-        node: syntax.Action | None = self._quietly(piece, "action")
-        if node is not None:
+        node: syntax.Action | None
+        node, error = self._quietly(piece, "action")
+        if error is None:
             return node
         starts = [i for i, token in enumerate(piece) if token.type == "RULE"]
         if not starts:
-            self._fail(piece, "action")
+            self._fail(piece, error)
             return None
+        before = len(self.diagnostics)
         head, close = piece[: starts[0]], _closing(piece)
         rules = []
         for start, end in zip(starts, [*starts[1:], len(piece)], strict=True):
@@ -158,21 +165,17 @@ class _Recovery:
             if rule is not None:
                 rules.append(rule)
         # The head is right if it parses before a rule that is.
-        stand_in: syntax.Action | None = self._quietly(
-            [*head, *_stand_in(head[-1]), close], "action"
-        )
-        if stand_in is None:
-            self._fail([*head, *_stand_in(head[-1]), close], "action")
-            return None
-        stand_in.rules = rules
-        count = len(self.diagnostics)
-        if not any(d.span.start >= piece[0].start for d in self.diagnostics[:count]):
-            self._fail(piece, "action")
-        return stand_in
+        node = self._try([*head, *_stand_in(head[-1]), close], "action")
+        if len(self.diagnostics) == before:  # all parts are right, but not together
+            self._fail(piece, error)
+        if node is not None:
+            node.rules = rules
+        return node
 
     def _rule(self, piece: list[Token]) -> syntax.Rule | None:
-        node: syntax.Rule | None = self._quietly(piece, "rule")
-        if node is not None:
+        node: syntax.Rule | None
+        node, error = self._quietly(piece, "rule")
+        if error is None:
             return node
         before = len(self.diagnostics)
         without_rows = []
@@ -180,38 +183,35 @@ class _Recovery:
             if is_row and self._try(part, is_row) is None:
                 continue
             without_rows.extend(part)
-        node = self._try(without_rows, "rule")
-        if len(self.diagnostics) == before:
-            self._fail(piece, "rule")
-        elif node is not None:
-            # Rows are missing: their columns would not sum to 1.
-            node = None
+        self._try(without_rows, "rule")
+        if len(self.diagnostics) == before:  # all parts are right, but not together
+            self._fail(piece, error)
         self.lost.update(t.value for t in piece if t.type.startswith("NAME"))
-        return node
+        return None  # rows are missing: what is left would not sum to 1
 
-    def _quietly(self, piece: list[Token], start: str) -> Any:
+    def _quietly(self, piece: list[Token], start: str) -> tuple[Any, Exception | None]:
+        """The node of a piece and None, or None and the error."""
         try:
-            return parse_tokens(piece, start)
-        except SYNTAX_ERRORS:
-            return None
+            return parse_tokens(piece, start), None
+        except SYNTAX_ERRORS as error:
+            return None, error
 
     def _try(self, piece: list[Token], start: str) -> Any:
-        node = self._quietly(piece, start)
-        if node is None:
-            self._fail(piece, start)
+        """The node of a piece; None, and a report, if it does not parse."""
+        node, error = self._quietly(piece, start)
+        if error is not None:
+            self._fail(piece, error)
         return node
 
-    def _fail(self, piece: list[Token], start: str) -> None:
+    def _fail(self, piece: list[Token], error: Exception) -> None:
         """Report why a piece does not parse, unless a bad token in it says so already."""
         self.lost.update(t.value for t in piece if t.type.startswith("NAME"))
-        if any(token.type == BAD for token in piece):
+        if self._is_full or any(token.type == BAD for token in piece):
             return
-        try:
-            parse_tokens(piece, start)
-        except syntax.NestingError as error:
+        if isinstance(error, syntax.NestingError):
             begin, end = syntax.extent(error.node)
             self.diagnostics.append(nesting_diagnostic(Span(self.source, begin, end)))
-        except SYNTAX_ERRORS as error:
+        else:
             self.diagnostics.append(explain(error, piece, self.stream))
 
     def _error(self, code: str, message: str, token: Token, hint: str | None = None) -> None:
@@ -256,6 +256,8 @@ def declarations(tokens: list[Token]) -> Iterator[list[Token]]:
 
 
 def _starts_declaration(token: Token, piece: list[Token], depth: int) -> bool:
+    if len(piece) == 1 and piece[0].type in _NAMING:
+        return False  # a reserved word in the place of a name
     if token.type not in _AMBIGUOUS:
         return True
     if depth > 0:

@@ -92,12 +92,6 @@ def occurrences(formula: Formula) -> Iterator[tuple[str, bool]]:
                 pending.append((body, _Sign.MIXED))
 
 
-def is_recursive(stratum: Collection[DerivedPredicate]) -> bool:
-    """Whether the predicates of a stratum depend on themselves."""
-    names = {p.name for p in stratum}
-    return any(name in names for p in stratum for name, _ in occurrences(p.formula))
-
-
 def strata(domain: Domain) -> list[list[DerivedPredicate]]:
     """The derived predicates in groups; each depends on its own group and on earlier ones alone.
 
