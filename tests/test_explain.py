@@ -6,7 +6,7 @@ import json
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from menid_plan.errors import LimitError, MeaningError
@@ -346,6 +346,7 @@ def test_a_goal_state_and_its_derived_atoms() -> None:
 ATOMS = ["in board tray", "loose board", "on-table board", "in spare tray", "loose spare"]
 
 
+@settings(deadline=None)
 @given(st.sets(st.sampled_from(ATOMS)))
 def test_the_explanation_agrees_with_the_semantics(facts: set[str]) -> None:
     domain, problem = hdd()

@@ -8,11 +8,12 @@ from collections.abc import Iterable, Mapping
 from itertools import chain, combinations, product
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from menid_plan.errors import LimitError
 from menid_plan.grounding.formulas import WORK_LIMIT
+from menid_plan.grounding.recent import Recent
 from menid_plan.grounding.semantics import Semantics
 from menid_plan.grounding.state import state_text
 from menid_plan.model.domain import DerivedPredicate, Domain, Object, Problem, Type
@@ -218,6 +219,28 @@ def test_a_count_that_grows_with_its_own_predicate() -> None:
     )
 
 
+def test_states_that_share_atoms_have_derived_atoms_of_their_own() -> None:
+    """What is remembered of one state is used for another only as far as both agree."""
+    lit = DerivedPredicate(
+        "lit", (X,), exists(Y, both(atom("lamp", "?y"), atom("above", "?y", "?x")))
+    )
+    meaning = semantics(ABOVE, lit)
+    tower = ("on a b", "on b floor")
+    assert "lit(b), lit(floor)" in derived_atoms(meaning, *tower, "lamp a")
+    assert derived_atoms(meaning, *tower, "lamp b").endswith("lit(floor)")
+    assert derived_atoms(meaning, "on a b", "lamp a") == "above(a, b), lit(b)"
+    assert "lit" not in derived_atoms(meaning, *tower)
+
+
+def test_what_is_remembered_is_bounded() -> None:
+    recent: Recent[int, int] = Recent()
+    for number in range(Recent.SIZE):
+        recent[number] = -number
+    assert recent[0] == 0
+    recent[Recent.SIZE] = 1
+    assert dict(recent) == {Recent.SIZE: 1}
+
+
 def test_a_derived_predicate_over_an_empty_type_has_no_atoms() -> None:
     meaning = semantics(DerivedPredicate("p", (GHOST,), TRUE), DerivedPredicate("q", (), TRUE))
     assert derived_atoms(meaning) == "q"
@@ -328,6 +351,7 @@ def formulas(
             return equal(draw(terms), draw(terms))
 
 
+@settings(deadline=None)
 @given(formulas(("x",)), WORLDS)
 def test_quantifiers_are_dual_and_count_measures_them(
     body: Formula, world: frozenset[GroundAtom]
@@ -343,6 +367,7 @@ def test_quantifiers_are_dual_and_count_measures_them(
         assert holds(Count((ANY,), body, "=", number)) is (sum(true_for) == number)
 
 
+@settings(deadline=None)
 @given(formulas(), formulas(), WORLDS)
 def test_connectives_are_those_of_truth_tables(
     left: Formula, right: Formula, world: frozenset[GroundAtom]
@@ -378,6 +403,7 @@ def subsets(atoms: Iterable[GroundAtom]) -> Iterable[frozenset[GroundAtom]]:
     return map(frozenset, picks)
 
 
+@settings(deadline=None)
 @given(programs(), WORLDS)
 def test_complete_is_the_least_closed_set_of_every_stratum(
     program: tuple[DerivedPredicate, ...], world: frozenset[GroundAtom]
@@ -409,6 +435,7 @@ def test_complete_is_the_least_closed_set_of_every_stratum(
     assert meaning.complete(world) == expected
 
 
+@settings(deadline=None)
 @given(programs(), WORLDS)
 def test_a_derived_atom_holds_exactly_where_its_formula_does(
     program: tuple[DerivedPredicate, ...], world: frozenset[GroundAtom]
@@ -421,3 +448,13 @@ def test_a_derived_atom_holds_exactly_where_its_formula_does(
             assert (fact(predicate.name, *args) in model) is meaning.holds(
                 predicate.formula, model, binding
             )
+
+
+@settings(deadline=None)
+@given(programs(), st.lists(WORLDS, min_size=2, max_size=6))
+def test_what_was_asked_before_changes_no_answer(
+    program: tuple[DerivedPredicate, ...], worlds: list[frozenset[GroundAtom]]
+) -> None:
+    meaning = two_objects(*program)
+    for world in worlds:
+        assert meaning.complete(world) == two_objects(*program).complete(world)

@@ -7,7 +7,7 @@ import pickle
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from menid_plan.errors import MeaningError
@@ -688,6 +688,7 @@ def test_a_second_board_in_a_bay_makes_the_reference_ambiguous() -> None:
 FACTS = ["in board tray", "loose board", "on-table board", "in spare tray", "loose spare"]
 
 
+@settings(deadline=None)
 @given(st.sets(st.sampled_from(FACTS)), st.sampled_from(["robot", "fine", "coarse"]))
 def test_every_step_is_a_distribution_over_states_of_basic_atoms(
     facts: set[str], environment: str
@@ -713,6 +714,7 @@ LITERALS = st.lists(
 )  # fmt: skip
 
 
+@settings(deadline=None)
 @given(LITERALS, st.sets(st.sampled_from(["p b1", "p b2", "q b1", "q b2"])))
 def test_the_next_state_has_what_was_added_or_was_there_and_not_deleted(
     effects: list[Effect], facts: set[str]

@@ -45,23 +45,22 @@ def parse_tokens(tokens: list[syntax.Token], start: str) -> Any:
 
 
 def accepted(error: UnexpectedInput) -> set[str]:
-    """The terminals that could have stood where Lark found the error.
+    """The terminals that could have stood where Lark found the error; ``$END`` for the end.
 
     Lark offers the same as ``error.accepts``, but copies all that has been parsed for each try.
     """
     state = error.interactive_parser.parser_state
-    table = state.parse_conf.states
-    return {
-        terminal
-        for terminal in table[state.state_stack[-1]]
-        if terminal.isupper() and _shifts(terminal, list(state.state_stack), table)
-    }
+    conf = state.parse_conf
+    choices = {*conf.states[state.state_stack[-1]], "$END"}
+    return {t for t in choices if t.isupper() and _shifts(t, list(state.state_stack), conf)}
 
 
-def _shifts(terminal: str, stack: list[Any], table: Any) -> bool:
+def _shifts(terminal: str, stack: list[Any], conf: Any) -> bool:
     """Whether a terminal is shifted at last, after the reductions that it calls for."""
     while True:
-        entry = table[stack[-1]].get(terminal)
+        if terminal == "$END" and stack[-1] == conf.end_state:
+            return True
+        entry = conf.states[stack[-1]].get(terminal)
         if entry is None:
             return False
         action, rule = entry
@@ -69,7 +68,7 @@ def _shifts(terminal: str, stack: list[Any], table: Any) -> bool:
             return True
         if rule.expansion:
             del stack[-len(rule.expansion) :]
-        stack.append(table[stack[-1]][rule.origin.name][1])
+        stack.append(conf.states[stack[-1]][rule.origin.name][1])
 
 
 @cache

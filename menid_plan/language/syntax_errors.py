@@ -99,9 +99,7 @@ def _list(expected: set[str]) -> str:
         rest -= operators
         words.append("an operator")
     words.extend(sorted((_name(terminal) for terminal in rest), key=lambda w: (w[0] == "`", w)))
-    if len(words) == 1:
-        return words[0]
-    return f"{', '.join(words[:-1])} or {words[-1]}"
+    return " or ".join(part for part in (", ".join(words[:-1]), words[-1]) if part)
 
 
 def _texts(expected: set[str]) -> set[str]:
