@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TextIO, TypeVar
+from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
 import click
 
@@ -16,6 +16,10 @@ from menid_plan.language.check import CheckResult
 from menid_plan.language.files import check_files
 from menid_plan.model.domain import Domain, Problem
 from menid_plan.source import Diagnostic, render
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
 
 _COLOURS: dict[str, dict[str, Any]] = {
     "place": {"bold": True},
@@ -75,6 +79,24 @@ def load_both(paths: Iterable[str]) -> tuple[Domain, Problem]:
         if result.problem is not None and result.known is not None:
             return result.known.domain, result.problem
     raise click.UsageError("the files hold no problem; give DOMAIN PROBLEM")
+
+
+@contextmanager
+def print_plain(console: Console, stream: TextIO) -> Iterator[None]:
+    """Print what the console gets without the spaces that pad columns at the ends of lines."""
+    with console.capture() as capture:
+        yield
+    for line in capture.get().splitlines():
+        stream.write(line.rstrip() + "\n")
+
+
+def table(console: Console) -> Table:
+    """A table with a line under its head on a terminal, and white space alone elsewhere."""
+    from rich import box
+    from rich.table import Table
+
+    style = box.SIMPLE_HEAD if console.is_terminal else None
+    return Table(box=style, padding=(0, 1, 0, 0), pad_edge=False)
 
 
 @contextmanager

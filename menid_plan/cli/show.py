@@ -8,7 +8,14 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from menid_plan.cli.common import checked, existing_file, json_option, opened, output_option
+from menid_plan.cli.common import (
+    checked,
+    existing_file,
+    json_option,
+    opened,
+    output_option,
+    print_plain,
+)
 from menid_plan.cli.show_json import domain_json, problem_json
 from menid_plan.cli.show_text import show_domain, show_problem
 
@@ -35,13 +42,10 @@ def command(files: tuple[str, ...], as_json: bool, output: Path | None) -> None:
             stream.write(json.dumps(shown, indent=2) + "\n")
             return
         console = Console(file=stream, highlight=False)
-        with console.capture() as capture:
+        with print_plain(console, stream):
             if domain is not None:
                 show_domain(domain, console)
             if domain is not None and problem is not None:
                 console.print()
             if problem is not None:
                 show_problem(problem, console)
-        # Columns are padded with spaces, which have no use at the end of a line.
-        for line in capture.get().splitlines():
-            stream.write(line.rstrip() + "\n")

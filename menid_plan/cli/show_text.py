@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from rich import box
 from rich.console import Console
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from menid_plan.cli.common import table
 from menid_plan.language.write import ranges
 from menid_plan.model.domain import OBJECT, Domain, Object, Param, Problem
 from menid_plan.model.formulas import TRUE
@@ -122,8 +122,8 @@ def _action(action: Action, domain: Domain, console: Console) -> None:
         for kind, blocks in (("probabilities", rule.probabilities), ("observed", rule.observed)):
             kept_apart = [block for block in blocks if block.values]
             if kept_apart:
-                table = _blocks(kind, kept_apart, rule, domain, console)
-                console.print(Padding(table, (0, 0, 0, 4)))
+                apart_table = _blocks(kind, kept_apart, rule, domain, console)
+                console.print(Padding(apart_table, (0, 0, 0, 4)))
 
 
 def _conditions(rule: Rule) -> list[str]:
@@ -138,16 +138,9 @@ def _conditions(rule: Rule) -> list[str]:
     return lines
 
 
-def _table(console: Console) -> Table:
-    """Lines between head and rows on a terminal; nothing but white space elsewhere."""
-    if console.is_terminal:
-        return Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    return Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
-
-
 def _outcomes(rule: Rule, domain: Domain, console: Console) -> Table:
-    table = _table(console)
-    table.add_column("outcome", no_wrap=True)
+    shown = table(console)
+    shown.add_column("outcome", no_wrap=True)
     environments = [e.name for e in domain.all_environments]
     shared = [block for block in rule.observed if not block.values]
     single = bool(rule.has_column and not rule.environments)
@@ -155,10 +148,10 @@ def _outcomes(rule: Rule, domain: Domain, console: Console) -> Table:
         ["every" if len(environments) > 1 else environments[0]] if _alike(rule) else environments
     )
     for name in heads:
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("effects", overflow="fold", ratio=1)
+        shown.add_column(name, justify="right", no_wrap=True)
+    shown.add_column("effects", overflow="fold", ratio=1)
     if any(outcome.reward is not None for outcome in rule.outcomes):
-        table.add_column("reward", no_wrap=True)
+        shown.add_column("reward", no_wrap=True)
     columns = [rule.probability_cells(name) for name in environments]
     counts = [_counts(shared, name, rule.outcomes) for name in environments]
     for index, outcome in enumerate(rule.outcomes):
@@ -170,8 +163,8 @@ def _outcomes(rule: Rule, domain: Domain, console: Console) -> Table:
             cells = cells[:1]
         effects = "" if outcome.is_noise else effects_text(outcome.effects)
         reward = [] if outcome.reward is None else [expression_text(outcome.reward)]
-        table.add_row(outcome.name, *cells, Text(effects), *reward)
-    return table
+        shown.add_row(outcome.name, *cells, Text(effects), *reward)
+    return shown
 
 
 def _alike(rule: Rule) -> bool:
@@ -198,18 +191,18 @@ def _blocks(
     kind: str, blocks: Sequence[Block], rule: Rule, domain: Domain, console: Console
 ) -> Table:
     """Blocks for values of `per`: a line for each value, its numbers in the order of outcomes."""
-    table = _table(console)
+    shown = table(console)
     order = "/".join(outcome.name for outcome in rule.outcomes)
-    table.title = f"{kind}, by {', '.join(rule.per)}: {order}"
-    table.title_justify = "left"
-    table.add_column(", ".join(rule.per), no_wrap=True)
+    shown.title = f"{kind}, by {', '.join(rule.per)}: {order}"
+    shown.title_justify = "left"
+    shown.add_column(", ".join(rule.per), no_wrap=True)
     names = [
         e.name for e in domain.all_environments if any(e.name in b.environments for b in blocks)
     ]
     for name in names:
-        table.add_column(name, overflow="fold")
+        shown.add_column(name, overflow="fold")
     for values in dict.fromkeys(block.values for block in blocks):
         mine = [block for block in blocks if block.values == values]
         cells = [_counts(mine, name, rule.outcomes) for name in names]
-        table.add_row(", ".join(values), *("/".join(cell) if cell else "" for cell in cells))
-    return table
+        shown.add_row(", ".join(values), *("/".join(cell) if cell else "" for cell in cells))
+    return shown

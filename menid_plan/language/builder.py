@@ -73,7 +73,7 @@ class Builder:
     names = names_list = items = literals = attributes = object_names = staticmethod(
         lambda children: children
     )
-    variables = type_unions = type_union = references = names
+    variables = type_unions = type_union = references = atoms = names
     type_name = comparison = staticmethod(lambda children: children[0])
     parameters = staticmethod(lambda children: children[0] or [])
 
@@ -161,7 +161,7 @@ class Builder:
 
     @staticmethod
     def init(children: Children) -> Init:
-        return Init(children[0], children[1:])
+        return Init(children[0], children[1])
 
     @staticmethod
     def domain(children: Children) -> Domain:

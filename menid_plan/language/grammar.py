@@ -24,7 +24,18 @@ from menid_plan.language.tokens import Lexer, Terminal
 
 SYNTAX_ERRORS = (UnexpectedInput, syntax.NestingError)
 
-_STARTS = ("file", "domain", "problem", "declaration", "action", "rule", "row", "block_row")
+_STARTS = (
+    "file",
+    "domain",
+    "problem",
+    "declaration",
+    "action",
+    "rule",
+    "row",
+    "block_row",
+    "atoms",
+    "atom",
+)
 
 
 class GivenTokens(LarkLexer):
