@@ -34,7 +34,9 @@ from menid_plan.language.ground import read_action, read_state
 @click.option("-v", "--verbose", is_flag=True, help="List actions that do not apply, however many.")
 @json_option
 @output_option
+@click.pass_context
 def command(
+    ctx: click.Context,
     arguments: tuple[str, ...],
     state_text: str | None,
     verbose: bool,
@@ -45,6 +47,8 @@ def command(
 
     With an ACTION such as "lever(n1)": for each of its rules, what its references name, which part
     of its condition fails, and, for the rule that covers, what each outcome changes and pays.
+
+    Exits with 3 if two rules of an action cover the state.
     """
     files, actions = _split(arguments)
     domain, problem = load_both(files)
@@ -60,13 +64,15 @@ def command(
     with opened(output) as stream:
         if as_json:
             stream.write(json.dumps(explanation.as_json(), indent=2) + "\n")
-            return
-        console = Console(file=stream, highlight=False)
-        with print_plain(console, stream):
-            show_state(explanation, console, list_actions=not chosen, verbose=verbose)
-            for action in explanation.actions if chosen else ():
-                console.print()
-                show_action(action, console)
+        else:
+            console = Console(file=stream, highlight=False)
+            with print_plain(console, stream):
+                show_state(explanation, console, list_actions=not chosen, verbose=verbose)
+                for action in explanation.actions if chosen else ():
+                    console.print()
+                    show_action(action, console)
+    if any(action.conflict for action in explanation.actions):
+        ctx.exit(3)  # two rules that cover one state are an error of the domain
 
 
 def _split(arguments: tuple[str, ...]) -> tuple[list[str], list[str]]:

@@ -86,10 +86,8 @@ def _rule(rule: RuleExplanation, console: Console) -> None:
     for reference in rule.references:
         console.print(Padding(Text(reference.reason), (0, 0, 0, 4)))
     for text, why in rule.failed:
-        failed = Text(f"the condition fails: {why}")
-        console.print(
-            Padding(failed if f"`{text}`" in why else Text(f"`{text}` fails: {why}"), (0, 0, 0, 4))
-        )
+        part = "the condition" if f"`{text}`" in why else f"`{text}`"
+        console.print(Padding(Text(f"{part} fails: {why}"), (0, 0, 0, 4)))
     if not rule.references and not rule.failed:
         console.print(Padding(Text(rule.reason), (0, 0, 0, 4)))
 

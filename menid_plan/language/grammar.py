@@ -24,18 +24,8 @@ from menid_plan.language.tokens import Lexer, Terminal
 
 SYNTAX_ERRORS = (UnexpectedInput, syntax.NestingError)
 
-_STARTS = (
-    "file",
-    "domain",
-    "problem",
-    "declaration",
-    "action",
-    "rule",
-    "row",
-    "block_row",
-    "atoms",
-    "atom",
-)
+# What a text, or a part of one, may be parsed as.
+_STARTS = "file domain problem declaration action rule row block_row atoms atom".split()
 
 
 class GivenTokens(LarkLexer):
@@ -99,7 +89,7 @@ def _lark() -> Lark:
         (resources.folder("grammar") / "menid.lark").read_text(encoding="utf-8"),
         parser="lalr",
         lexer=GivenTokens,
-        start=list(_STARTS),
+        start=_STARTS,
         transformer=Builder(),
         cache=_cache_file(),
     )
