@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from test_docs import ROOT, Block, blocks, codes
 
 from menid_plan.language.files import check_files
+from test_docs import ROOT, Block, blocks, codes
 
 PAGE = ROOT / "docs" / "diagnostics.md"
 
@@ -27,6 +27,7 @@ class Entry:
     wrong: tuple[Block, ...]
     right: tuple[Block, ...]
     python: tuple[Block, ...]
+    console: tuple[Block, ...]
 
 
 def _entries() -> Iterator[Entry]:
@@ -47,6 +48,7 @@ def _entries() -> Iterator[Entry]:
             tuple(block for block in menid if "wrong" in block.options),
             tuple(block for block in menid if "wrong" not in block.options),
             tuple(block for block in own if block.language == "python"),
+            tuple(block for block in own if block.language == "console"),
         )
 
 
@@ -63,7 +65,13 @@ def test_the_page_has_the_codes_of_the_source_in_order() -> None:
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.code)
 def test_an_entry_has_its_parts(entry: Entry) -> None:
     assert _FIRST_SENTENCE.match(entry.text)
-    if entry.python:
+    if entry.console:
+        # Found in what is given on the command line; test_docs.py runs these.
+        first, second = entry.console
+        assert f"error[{entry.code}]" in first.text
+        assert "error[" not in second.text
+        assert not entry.wrong
+    elif entry.python:
         # Bytes, and texts too long for a page; test_docs.py runs these.
         first, second = entry.python
         assert f'"{entry.code}"' in first.text
@@ -78,9 +86,8 @@ def test_the_examples_of_an_entry(
     entry: Entry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for wrong, right in zip(entry.wrong, entry.right, strict=True):
-        assert entry.code in codes(wrong.text)
-        assert codes(right.text) == []
+    assert all(entry.code in codes(block.text) for block in entry.wrong)
+    assert not any(codes(block.text) for block in entry.right)
 
 
 def test_the_warnings_are_those_that_the_page_says(

@@ -2,7 +2,8 @@
 
 Nodes hold tokens and other nodes, in the order of the grammar; what a rule lists (names, rows,
 variables) is a plain list. Nothing here is checked: the tree says what was written, not whether it
-makes sense. A node knows its place through its tokens (`extent`).
+makes sense. A node knows its place through its tokens (`extent`). Nodes are not compared or printed:
+leaving that out of their classes makes the start-up shorter.
 """
 
 from __future__ import annotations
@@ -51,24 +52,24 @@ class Nested:
 # ------------------------------------------------------------------------------------ expressions
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Number:
     token: Token
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class ParamName:
     token: Token
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Minus(Nested):
     __slots__ = ("operand", "sign")
     sign: Token
     operand: Expression
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Arithmetic(Nested):
     __slots__ = ("left", "operator", "right")
     left: Expression
@@ -79,18 +80,18 @@ class Arithmetic(Nested):
 Expression: TypeAlias = Number | ParamName | Minus | Arithmetic
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Fraction:
     numerator: Token
     denominator: Token
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Parenthesised:
     expression: Expression
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class BareName:
     """A name in a row without parentheses: a param's cell, or an atom without arguments."""
 
@@ -103,75 +104,75 @@ Cell: TypeAlias = Number | Fraction | Parenthesised | BareName
 # --------------------------------------------------------------------------------------- formulas
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class VariableGroup:
     names: list[Token]
     types: list[Token]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Atom:
     name: Token
     arguments: list[Token]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Equality:
     left: Token
     right: Token
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Inequality:
     left: Token
     right: Token
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Truth:
     token: Token
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Negation(Nested):
     __slots__ = ("formula",)
     formula: Formula
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Conjunction(Nested):
     __slots__ = ("formulas",)
     formulas: list[Formula]
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Disjunction(Nested):
     __slots__ = ("formulas",)
     formulas: list[Formula]
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Implication(Nested):
     __slots__ = ("left", "right")
     left: Formula
     right: Formula
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Exists(Nested):
     __slots__ = ("formula", "variables")
     variables: list[VariableGroup]
     formula: Formula
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Forall(Nested):
     __slots__ = ("formula", "variables")
     variables: list[VariableGroup]
     formula: Formula
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Count(Nested):
     __slots__ = ("comparison", "formula", "number", "variables")
     variables: list[VariableGroup]
@@ -198,18 +199,18 @@ Formula: TypeAlias = (
 # ------------------------------------------------------------------------------ rules and actions
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Negated:
     atom: Atom
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Conditional:
     condition: Formula
     literals: list[Atom | Negated]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class ForEach:
     variables: list[VariableGroup]
     condition: Formula
@@ -221,27 +222,27 @@ Effect: TypeAlias = Atom | Negated | Conditional | ForEach
 Item: TypeAlias = Cell | Effect | Token
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Row:
     name: Token
     items: list[Item]
     reward: Expression | None
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Outcomes:
     keyword: Token
     environments: list[Token]
     rows: list[Row]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class BlockRow:
     name: Token
     cells: list[Cell]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Probabilities:
     keyword: Token
     environments: list[Token]
@@ -249,7 +250,7 @@ class Probabilities:
     rows: list[BlockRow]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Observed:
     keyword: Token
     environments: list[Token]
@@ -260,14 +261,14 @@ class Observed:
 Block: TypeAlias = Probabilities | Observed
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Reference:
     keyword: Token
     variables: list[VariableGroup]
     formula: Formula
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Context:
     """Where a rule covers: ``otherwise`` (a token), or references and a condition."""
 
@@ -276,7 +277,7 @@ class Context:
     condition: Formula | None
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Rule:
     keyword: Token
     name: Token
@@ -286,7 +287,7 @@ class Rule:
     blocks: list[Block]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Action:
     keyword: Token
     name: Token
@@ -298,27 +299,27 @@ class Action:
 # ----------------------------------------------------------------------------------- declarations
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Types:
     keyword: Token
     names: list[Token]
     parent: Token | None
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class ObjectRange:
     first: Token
     last: Token
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Attribute:
     name: Token
     sign: Token | None
     number: Token
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Constants:
     keyword: Token
     names: list[Token | ObjectRange]
@@ -326,7 +327,7 @@ class Constants:
     attributes: list[Attribute]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Objects:
     keyword: Token
     names: list[Token | ObjectRange]
@@ -334,28 +335,28 @@ class Objects:
     attributes: list[Attribute]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Param:
     keyword: Token
     name: Token
     value: Expression
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Environment:
     keyword: Token
     name: Token
     role: Token
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Predicate:
     keyword: Token
     name: Token
     arguments: list[list[Token]]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Derived:
     keyword: Token
     name: Token
@@ -363,7 +364,7 @@ class Derived:
     formula: Formula
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class StateReward:
     keyword: Token
     reward: Expression
@@ -371,32 +372,32 @@ class StateReward:
     condition: Formula
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Init:
     keyword: Token
     atoms: list[Atom]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Goal:
     keyword: Token
     formula: Formula
     reward: Expression | None
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Horizon:
     keyword: Token
     number: Token
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Discount:
     keyword: Token
     number: Token
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class DeadEnd:
     keyword: Token
     reward: Expression
@@ -408,14 +409,14 @@ DomainItem: TypeAlias = (
 ProblemItem: TypeAlias = Param | Objects | Init | Goal | Horizon | Discount | DeadEnd
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Domain:
     keyword: Token
     name: Token
     items: list[DomainItem]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Problem:
     keyword: Token
     name: Token
@@ -423,7 +424,7 @@ class Problem:
     items: list[ProblemItem]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class File:
     domain: Domain | None
     problem: Problem | None
