@@ -39,8 +39,12 @@ import pytest
 from click.testing import CliRunner
 
 from menid_plan.cli.main import main
-from menid_plan.language.files import check_files
+from menid_plan.grounding.formulas import WORK_LIMIT
+from menid_plan.language.declarations import MAX_RANGE
+from menid_plan.language.files import MAX_BYTES, check_files
 from menid_plan.language.grammar import lexer
+from menid_plan.language.parse import MAX_SYNTAX_ERRORS
+from menid_plan.language.syntax import MAX_NESTING
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -283,6 +287,19 @@ def test_the_reference_lists_the_reserved_words() -> None:
     page = (ROOT / "docs" / "language.md").read_text(encoding="utf-8")
     listed = page.partition("### Reserved words")[2].partition("```text\n")[2].partition("```")[0]
     assert listed.split() == sorted(lexer().reserved_words)
+
+
+def test_the_reference_states_the_limits() -> None:
+    page = (ROOT / "docs" / "language.md").read_text(encoding="utf-8")
+    limits = page.partition("## Limits")[2]
+    for limit in (
+        f"{MAX_BYTES // 2**20} MiB",
+        f"{MAX_NESTING} levels",
+        f"{MAX_RANGE}",
+        f"{MAX_SYNTAX_ERRORS}",
+        f"{WORK_LIMIT // 10**6} million",
+    ):
+        assert f"| {limit} |" in limits
 
 
 _LINK = re.compile(r"\]\((?P<target>[^)#\s]+)(?:#[^)]*)?\)")

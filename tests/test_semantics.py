@@ -610,6 +610,7 @@ def test_a_conflict_in_the_next_state_is_not_this_steps_error() -> None:
 def test_the_horizon_ends_an_episode(horizon: int | None, final: bool) -> None:
     meaning = Semantics(domain(sure()), problem(horizon=horizon))
     assert meaning.is_final(state(), step=2) is final
+    assert meaning.is_final(state()) is (horizon == 0)
 
 
 def test_the_parts_of_a_reward() -> None:

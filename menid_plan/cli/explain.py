@@ -23,6 +23,10 @@ from menid_plan.grounding.state import GroundAction
 from menid_plan.language.ground import read_action, read_state
 
 
+# Steps of evaluation for one answer: a few seconds' worth.
+_WORK_LIMIT = 2_000_000
+
+
 @click.command("explain")
 @click.argument(
     "arguments", nargs=-1, required=True, metavar="DOMAIN PROBLEM [ACTION...]", type=str
@@ -52,7 +56,7 @@ def command(
     """
     files, actions = _split(arguments)
     domain, problem = load_both(files)
-    semantics = Semantics(domain, problem)
+    semantics = Semantics(domain, problem, work_limit=_WORK_LIMIT)
     state = semantics.initial_state
     if state_text is not None:
         state = read_state(state_text, domain, problem, "--state")
