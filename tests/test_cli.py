@@ -285,7 +285,7 @@ def test_explain_text_of_one_action(menid: Menid, files: Path) -> None:
         "                                   loose(board) (arrives in the goal)",
         "  held      0.1  0.1    0.1   -0.1 nothing",
         "  noise       0    0      0   -0.1 nothing",
-        "  a reward includes -0.1 of the cost",
+        "  included in the rewards: -0.1 for the cost of the action",
     ]
 
 

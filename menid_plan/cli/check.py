@@ -8,7 +8,8 @@ import click
 
 from menid_plan.cli.common import existing_file, json_option, report_diagnostics
 from menid_plan.language.check import CheckResult
-from menid_plan.language.files import check_files
+from menid_plan.language.files import check_files, shown_name
+from menid_plan.language.report import counted
 
 
 @click.command("check")
@@ -23,11 +24,12 @@ def command(ctx: click.Context, files: tuple[str, ...], as_json: bool, quiet: bo
     that declares that name).
     """
     results = check_files(files)
+    names = [shown_name(path) for path in files]
     if as_json:
         diagnostics = [d.as_json() for r in results for d in r.diagnostics]
-        click.echo(json.dumps({"files": list(files), "diagnostics": diagnostics}, indent=2))
+        click.echo(json.dumps({"files": names, "diagnostics": diagnostics}, indent=2))
     else:
-        for path, result in zip(files, results, strict=True):
+        for path, result in zip(names, results, strict=True):
             report_diagnostics(result.diagnostics)
             if not quiet:
                 click.echo(f"{path}: {_summary(result)}")
@@ -38,12 +40,13 @@ def command(ctx: click.Context, files: tuple[str, ...], as_json: bool, quiet: bo
 def _summary(result: CheckResult) -> str:
     errors = sum(d.is_error for d in result.diagnostics)
     if errors:
-        return f"{errors} error{'s' if errors > 1 else ''}"
+        return counted(errors, "error")
     parts = []
     if result.domain is not None:
-        rules = sum(len(action.rules) for action in result.domain.actions)
-        actions = len(result.domain.actions)
-        parts.append(f"domain {result.domain.name} ({actions} actions, {rules} rules)")
+        rules = counted(sum(len(action.rules) for action in result.domain.actions), "rule")
+        actions = counted(len(result.domain.actions), "action")
+        parts.append(f"domain {result.domain.name} ({actions}, {rules})")
     if result.problem is not None:
-        parts.append(f"problem {result.problem.name} ({len(result.problem.objects)} objects)")
+        objects = counted(len(result.problem.objects), "object")
+        parts.append(f"problem {result.problem.name} ({objects})")
     return f"ok: {', '.join(parts) or 'nothing declared'}"

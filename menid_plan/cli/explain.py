@@ -22,7 +22,6 @@ from menid_plan.grounding.semantics import Semantics
 from menid_plan.grounding.state import GroundAction
 from menid_plan.language.ground import read_action, read_state
 
-
 # Steps of evaluation for one answer: a few seconds' worth.
 _WORK_LIMIT = 2_000_000
 
@@ -60,10 +59,7 @@ def command(
     state = semantics.initial_state
     if state_text is not None:
         state = read_state(state_text, domain, problem, "--state")
-    chosen = [
-        GroundAction(*read_action(text, domain, problem, f"action {number}"))
-        for number, text in enumerate(actions, start=1)
-    ]
+    chosen = [GroundAction(*read_action(text, domain, problem, "ACTION")) for text in actions]
     explanation = explain(semantics, state, chosen or None)
     with opened(output) as stream:
         if as_json:

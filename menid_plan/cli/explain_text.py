@@ -118,12 +118,12 @@ def _parts(outcomes: tuple[OutcomeExplanation, ...], console: Console) -> None:
     first = outcomes[0].reward
     parts = []
     if first.state:
-        parts.append(f"{first.state:g} of the state")
+        parts.append(f"{first.state:g} for being in this state")
     if first.cost:
-        parts.append(f"{-first.cost:g} of the cost")
-    if any(o.reward.goal for o in outcomes):
-        parts.append("that of the goal on arrival")
-    if any(o.reward.dead_end for o in outcomes):
-        parts.append("that of a dead end on arrival")
+        parts.append(f"{-first.cost:g} for the cost of the action")
+    arrivals = {o.reward.goal for o in outcomes if o.reward.goal}
+    parts += [f"{reward:g} on arrival in the goal" for reward in arrivals]
+    arrivals = {o.reward.dead_end for o in outcomes if o.reward.dead_end}
+    parts += [f"{reward:g} on arrival in a dead end" for reward in arrivals]
     if parts:
-        console.print(Text(f"  a reward includes {', '.join(parts)}"))
+        console.print(Text(f"  included in the rewards: {', '.join(parts)}"))

@@ -101,7 +101,13 @@ class _Facts:
 def _heading(console: Console, title: str, doc: str) -> None:
     console.print(Text(title, style="bold"))
     if doc:
-        console.print(Text(" ".join(doc.split("\n")), style="italic"))
+        console.print(_prose(doc))
+
+
+def _prose(doc: str) -> Text:
+    """A comment as paragraphs: an empty line in it separates two."""
+    paragraphs = [" ".join(part.split()) for part in doc.split("\n\n")]
+    return Text("\n".join(paragraphs), style="italic")
 
 
 def _params(params: Iterable[Param]) -> str:
@@ -115,8 +121,8 @@ def _action(action: Action, domain: Domain, console: Console) -> None:
     for rule in action.rules:
         apart = f", one distribution per {', '.join(rule.per)}" if rule.per else ""
         console.print(Padding(Text(f"rule {rule.name}{apart}", style="bold"), (0, 0, 0, 2)))
-        doc = Text(" ".join(rule.doc.split("\n")), style="italic")
-        for text in ([doc] if rule.doc else []) + [Text(line) for line in _conditions(rule)]:
+        doc = [_prose(rule.doc)] if rule.doc else []
+        for text in [*doc, *(Text(line) for line in _conditions(rule))]:
             console.print(Padding(text, (0, 0, 0, 4)))
         console.print(Padding(_outcomes(rule, domain, console), (0, 0, 0, 4)))
         for kind, blocks in (("probabilities", rule.probabilities), ("observed", rule.observed)):

@@ -29,6 +29,7 @@ from menid_plan.grounding.steps import Covering, Reward, RuleConflict, Transitio
 from menid_plan.model.domain import Domain, Problem, param_values
 from menid_plan.model.expressions import EvaluationError, Expression, evaluate
 from menid_plan.model.formulas import Formula, GroundAtom, TypedVariable
+from menid_plan.model.probabilities import TOLERANCE
 from menid_plan.model.rules import (
     Action,
     ConditionalEffect,
@@ -41,9 +42,6 @@ from menid_plan.model.rules import (
 from menid_plan.model.rules import Literal as EffectLiteral
 
 Noise = Literal["stay", "sink"]
-
-SUM_TOLERANCE = 1e-6
-"""How far from 1 the probabilities of a column may sum up."""
 
 
 class Semantics:
@@ -277,7 +275,7 @@ class Semantics:
             raise MeaningError(f"{where} has no probabilities in environment `{environment}`{per}")
         column = [self._value(cell, where) for cell in cells]
         total = math.fsum(column)
-        if min(column) < 0 or abs(total - 1) > SUM_TOLERANCE:
+        if min(column) < 0 or abs(total - 1) > TOLERANCE:
             raise MeaningError(
                 f"{where}: the probabilities in environment `{environment}` are "
                 f"{', '.join(map(str, column))}; they must be >= 0 and sum to 1"

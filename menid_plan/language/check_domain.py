@@ -33,6 +33,7 @@ class DomainChecker(RuleChecker, Declarations):
 
     def __init__(self, report: Report, docs: Documentation) -> None:
         super().__init__(report, Names(), docs)
+        self.first_objects = {}
 
     def domain(self, node: syntax.Domain) -> Domain:
         """The domain of a tree; worth something only if nothing was reported."""

@@ -227,7 +227,10 @@ class FormulaChecker:
         """A number without a fractional part."""
         value = float(token.value)
         if not token.value.isdigit() or not math.isfinite(value) or value > 1e15:
-            self.report.error("M430", f"`{shown(token.value)}` is no whole number", token)
+            self.report.error(
+                "M430", f"`{shown(token.value)}` is no whole number", token,
+                "only digits, and at most 1000000000000000",
+            )  # fmt: skip
             return 0
         return int(value)
 

@@ -8,7 +8,7 @@ from typing import Any
 from menid_plan.language import syntax
 from menid_plan.language.check_formulas import FormulaChecker
 from menid_plan.language.declarations import Declarations, Documentation, param_values_of
-from menid_plan.language.names import Names
+from menid_plan.language.names import Names, Types
 from menid_plan.language.report import Report
 from menid_plan.language.syntax import Token
 from menid_plan.model.domain import (
@@ -19,6 +19,7 @@ from menid_plan.model.domain import (
 from menid_plan.model.expressions import Expression, params_in
 from menid_plan.model.formulas import Formula, GroundAtom
 from menid_plan.model.probabilities import column_faults
+from menid_plan.source import Span
 
 
 class ProblemChecker(FormulaChecker, Declarations):
@@ -27,6 +28,7 @@ class ProblemChecker(FormulaChecker, Declarations):
     def __init__(self, report: Report, names: Names, docs: Documentation) -> None:
         super().__init__(report, names)
         self.doc: Callable[[Token], str] = docs
+        self.first_objects = {}
 
     def problem(self, node: syntax.Problem, domain: Domain) -> Problem:
         """The problem of a tree; worth something only if nothing was reported."""
@@ -113,21 +115,33 @@ class ProblemChecker(FormulaChecker, Declarations):
     def _discount(self, token: Token) -> float:
         value = float(token.value)
         if value > 1:
-            self.report.error("M431", f"a discount is between 0 and 1, not {token.value}", token)
+            self.report.error(
+                "M431", f"a discount is between 0 and 1, not {token.value}", token,
+                "it says how much a step later is worth: 0.99 is common, 1 is none",
+            )  # fmt: skip
         return value
 
     def _values_of_blocks(self, domain: Domain, place: Token) -> None:
         """Warns of blocks for objects that this problem lacks: they are kept, and not used."""
-        missing: dict[str, str] = {}
+        seen: set[str] = set()
         for action in domain.actions:
+            types = {v.name: v.types for v in action.parameters}
             for rule in action.rules:
                 for block in (*rule.probabilities, *rule.observed):
-                    for value in block.values:
-                        if value not in self.names.objects:
-                            missing.setdefault(value, f"{action.name}.{rule.name}")
-        for value, rule_name in list(missing.items())[:5]:
-            more = f", and {len(missing) - 5} more such" if len(missing) > 5 else ""
-            self.report.warning(
-                "M502", f"rule {rule_name} has a block for `{value}`, no object here{more}", place,
-                "the block is kept, and not used in this problem",
-            )  # fmt: skip
+                    for parameter, value in zip(rule.per, block.values, strict=False):
+                        if value not in seen and not self._fits(value, types.get(parameter, ())):
+                            seen.add(value)
+                            self._unused(f"{action.name}.{rule.name}", value, block.span or place)
+
+    def _fits(self, value: str, types: Types) -> bool:
+        given = self.names.objects.get(value)
+        return given is not None and self.names.fits((given,), types)
+
+    def _unused(self, rule: str, value: str, place: Span | Token) -> None:
+        given = self.names.objects.get(value)
+        what = "no object of this problem" if given is None else f"a `{given}` here"
+        close = self.report.similar(value, list(self.names.objects)) if given is None else None
+        self.report.warning(
+            "M502", f"rule {rule} has a block for `{value}`, which is {what}", place,
+            f"did you mean `{close}`?" if close else "the block is kept, and not used",
+        )  # fmt: skip

@@ -7,10 +7,10 @@ from typing import Any, cast
 
 from menid_plan.language import syntax
 from menid_plan.language.check_formulas import FormulaChecker
-from menid_plan.language.names import Names, Scope
-from menid_plan.language.report import Report
+from menid_plan.language.names import Names, Scope, Types
+from menid_plan.language.report import Report, counted
 from menid_plan.language.syntax import Token
-from menid_plan.model.expressions import Expression
+from menid_plan.model.expressions import Expression, evaluate, params_in
 from menid_plan.model.formulas import TRUE, Atom
 from menid_plan.model.probabilities import fault
 from menid_plan.model.rules import (
@@ -52,7 +52,7 @@ class RuleChecker(FormulaChecker):
                         f"`{fallback.value}` is the other",
                     )  # fmt: skip
                 fallback = rule.name
-            rules.append(self.rule(rule, scope, {v.name for v in parameters}))
+            rules.append(self.rule(rule, scope))
         return Action(
             node.name.value, tuple(rules), parameters, cost, self.doc(node.keyword),
             self.report.span(node.keyword, node.name),
@@ -66,9 +66,10 @@ class RuleChecker(FormulaChecker):
 
     # ---------------------------------------------------------------------------------- rules
 
-    def rule(self, node: syntax.Rule, scope: Scope, parameters: set[str]) -> Rule:
+    def rule(self, node: syntax.Rule, scope: Scope) -> Rule:
         """A rule, in the scope of its action's parameters."""
-        per = self._per(node.per or [], parameters)
+        per = self._per(node.per or [], scope)
+        per_types = [scope.get(name, ()) for name in per]
         references = []
         for reference in node.context.references:
             declared, scope = self.variables(reference.variables, scope)
@@ -83,6 +84,7 @@ class RuleChecker(FormulaChecker):
         observed: list[Block] = []
         for block in node.blocks:
             checked = self._block(block, names, per)
+            self._constants_fit(block, per_types)
             (probabilities if isinstance(block, syntax.Probabilities) else observed).append(checked)
         rule = Rule(
             node.name.value, outcomes, per, tuple(references), condition,
@@ -92,7 +94,7 @@ class RuleChecker(FormulaChecker):
         self._blocks_once(node, rule)
         return rule
 
-    def _per(self, tokens: list[Token], parameters: set[str]) -> tuple[str, ...]:
+    def _per(self, tokens: list[Token], parameters: Scope) -> tuple[str, ...]:
         seen: dict[str, Token] = {}
         for token in tokens:
             self._once("`per` parameter", token, seen)
@@ -140,12 +142,14 @@ class RuleChecker(FormulaChecker):
         """A table without environments has one column if any row has a cell, else none."""
         return int(any(row.items and self._is_cell(row.items[0]) for row in node.rows))
 
-    def _is_cell(self, item: syntax.Item) -> bool:
+    def _is_cell(self, item: syntax.Item, *, wanted: bool = False) -> bool:
+        """Whether an item is a cell; if one is wanted, a name that nothing declares is one too."""
         match item:
             case syntax.Number() | syntax.Fraction() | syntax.Parenthesised():
                 return True
             case syntax.BareName(token):
-                return token.value in self.names.params
+                known = self.names.arguments(token.value) is not None
+                return token.value in self.names.params or (wanted and not known)
             case _:
                 return False
 
@@ -155,7 +159,7 @@ class RuleChecker(FormulaChecker):
         """The outcome of a row, and whether it has the right number of cells."""
         items = row.items
         count = 0
-        while count < len(items) and self._is_cell(items[count]):
+        while count < len(items) and self._is_cell(items[count], wanted=count < width):
             count += 1
         cells = tuple(self.cell(cast("syntax.Cell", item)) for item in items[:count])
         if count != width:
@@ -172,21 +176,10 @@ class RuleChecker(FormulaChecker):
         return outcome, count == width
 
     def _wrong_width(self, row: syntax.Row, width: int, count: int, has_head: bool) -> None:
-        columns = f"{width} {'probability' if width == 1 else 'probabilities'}"
-        stray = row.items[count] if count < len(row.items) else None
-        hint = None
-        if isinstance(stray, syntax.BareName):
-            hint = f"`{stray.token.value}` is no declared param"
-            close = self.report.similar(stray.token.value, list(self.names.params))
-            difference = self._difference(stray.token.value)
-            if close:
-                hint += f"; did you mean `{close}`?"
-            elif difference:
-                hint = difference
-        elif not has_head:
+        columns = counted(width, "probability", "probabilities")
+        hint = "the head of the table names one environment for each column"
+        if not has_head:
             hint = "without environments in its head a table has one column, or none"
-        elif count < width:
-            hint = "the head of the table names one environment for each column"
         place = row.items[:count] or row.name
         self.report.error("M401", f"expected {columns}, found {count or 'none'}", place, hint)
 
@@ -200,16 +193,14 @@ class RuleChecker(FormulaChecker):
             self._check_sum(cells, f"the column{name}", place)
 
     def _check_sum(self, cells: list[Expression], what: str, place: Token) -> None:
-        params = self.names.params
-        if any(self.value(cell, place) is None for cell in cells):
+        values = cast("dict[str, float]", self.names.params)
+        if any(values.get(name) is None for cell in cells for name in params_in(cell)):
             return
-        reason = fault(cells, cast("dict[str, float]", params))
+        reason = fault(cells, values)
         if reason is None or not reason.startswith("sums"):
-            return  # a negative one is reported at its cell
-        total = sum(v for v in (self.value(cell, place) for cell in cells) if v is not None)
-        hint = None
-        if total < 1:
-            hint = f"what no row describes is `noise: {round(1 - total, 9):g}`"
+            return  # what is wrong with a single cell is said of that cell
+        rest = 1 - sum(evaluate(cell, values) for cell in cells)
+        hint = f"what no row describes is `noise: {round(rest, 9):g}`" if rest > 0 else None
         self.report.error("M402", f"{what} {reason}", place, hint)
 
     # -------------------------------------------------------------------------------- effects
@@ -227,15 +218,20 @@ class RuleChecker(FormulaChecker):
             return ()
         if noise:
             self.report.error(
-                "M406", "`noise` has no effects", items,
-                "it stands for whatever no row describes; give what you can describe a name",
+                "M406",
+                "`noise` has no effects",
+                items,
+                "leave `nothing` out: it goes without saying"
+                if len(items) == 1 and isinstance(items[0], Token)
+                else "it stands for whatever no row describes; give what you can describe a name",
             )  # fmt: skip
             return ()
         self._punctuation(items)
         effects: list[Effect] = []
+        alone = sum(not isinstance(item, Token) or item.type != "COMMA" for item in items) == 1
         for item in items:
             match item:
-                case syntax.Token(type="NOTHING") if len(items) > 1:
+                case syntax.Token(type="NOTHING") if not alone:
                     self.report.error("M417", "`nothing` stands alone", item)
                 case syntax.Token():
                     pass
@@ -267,7 +263,10 @@ class RuleChecker(FormulaChecker):
                 isinstance(previous, Token) and previous.type == "COMMA"
             )
             if comma and after_comma:
-                self.report.error("M417", "a comma without an effect before it", item)
+                hint = (
+                    "no comma between the probabilities and the effects" if not previous else None
+                )
+                self.report.error("M417", "a comma without an effect before it", item, hint)
             elif not comma and not after_comma and not isinstance(item, syntax.Number):
                 self.report.error("M417", "expected `,` before this effect", item)
             previous = item
@@ -298,8 +297,9 @@ class RuleChecker(FormulaChecker):
         values = tuple(token.value for token in node.values or [])
         if node.values is not None and len(values) != len(per):
             wanted = f"one value for each of: {', '.join(per)}" if per else "no values"
+            given = counted(len(values), "value")
             self.report.error(
-                "M412", f"`for` gives {len(values)}, but the rule takes {wanted}", node.values,
+                "M412", f"`for` gives {given}, but the rule takes {wanted}", node.values,
                 None if per else "write `per` behind the rule's name to keep distributions apart",
             )  # fmt: skip
         elif node.values is None and per and isinstance(node, syntax.Observed):
@@ -321,6 +321,16 @@ class RuleChecker(FormulaChecker):
                 self._check_sum(column, f"the column of `{token.value}`", token)
         return block
 
+    def _constants_fit(self, node: syntax.Block, asked: list[Types]) -> None:
+        """A constant in `for` is of its parameter's type; what is no constant is not known here."""
+        for token, types in zip(node.values or [], asked, strict=False):
+            given = self.names.objects.get(token.value)
+            if given is not None and types and not self.names.fits((given,), types):
+                self.report.error(
+                    "M303", f"`{token.value}` is of type `{given}`, but the parameter is of type "
+                    + " | ".join(f"`{name}`" for name in types), token,
+                )  # fmt: skip
+
     def _block_rows(
         self, node: syntax.Block, outcomes: list[str]
     ) -> list[tuple[str, tuple[Expression, ...]]]:
@@ -331,11 +341,12 @@ class RuleChecker(FormulaChecker):
             self._once("the row", row.name, seen)
             if row.name.value not in outcomes:
                 self.report.unknown("M207", "outcome", row.name, outcomes)
-            if len(row.cells) != len(node.environments):
-                kind = "count" if counts else "probability"
+            if node.environments and len(row.cells) != len(node.environments):
+                noun = ("count", "counts") if counts else ("probability", "probabilities")
+                wanted = counted(len(node.environments), *noun)
                 self.report.error(
                     "M401",
-                    f"expected {len(node.environments)} of kind {kind}, found {len(row.cells)}",
+                    f"expected {wanted}, found {len(row.cells) or 'none'}",
                     row.cells or row.name,
                     "one for each environment in the head of the block",
                 )

@@ -51,6 +51,7 @@ class Declarations:
     report: Report
     names: Names
     doc: Callable[[Token], str]
+    first_objects: dict[str, Token]
 
     def objects(self, node: syntax.Constants | syntax.Objects, type_: str) -> list[Object]:
         """The objects of one declaration, which are added to the names."""
@@ -68,7 +69,9 @@ class Declarations:
             token = item.last if isinstance(item, syntax.ObjectRange) else item
             for name in self._expand(item):
                 if name in self.names.objects:
-                    self.report.duplicate("object", _renamed(token, name), None)
+                    first = self.first_objects.get(name)
+                    self.report.duplicate("object", _renamed(token, name), first)
+                self.first_objects.setdefault(name, token)
                 self.names.objects[name] = type_
                 objects.append(Object(name, type_, given, doc, span))
         return objects

@@ -70,7 +70,9 @@ def check_files(
     bytes of files that were read already.
     """
     contents = contents or {}
-    texts = [(path, *decode(contents.get(str(path)) or load(path), _name(path))) for path in paths]
+    texts = [
+        (path, *decode(contents.get(str(path)) or load(path), shown_name(path))) for path in paths
+    ]
     parsed = [(path, None if bad else parse(source), bad) for path, source, bad in texts]
     known: dict[str, Known] = {}
     results: dict[int, CheckResult] = {}
@@ -88,7 +90,8 @@ def check_files(
     return [results[index] for index in range(len(parsed))]
 
 
-def _name(path: str | Path) -> str:
+def shown_name(path: str | Path) -> str:
+    """What messages call a file."""
     return "<stdin>" if str(path) == "-" else str(path)
 
 
@@ -131,7 +134,7 @@ def find_domain(problem: Path, name: str) -> Path | None:
         return None
     for candidate in [folder / "domain.menid", *others]:
         try:
-            if candidate.is_file() and declares.search(load(candidate)):
+            if candidate != problem and candidate.is_file() and declares.search(load(candidate)):
                 return candidate
         except OSError:
             continue
@@ -165,7 +168,7 @@ def read(path: str | Path, domain: Domain | str | Path | None = None) -> Documen
     be read, LimitError if it is too large.
     """
     if isinstance(domain, Domain):
-        source, bad = decode(load(path), _name(path))
+        source, bad = decode(load(path), shown_name(path))
         if bad:
             raise InputError(bad)
         return _document(check_syntax(parse(source), Known.of(domain)))

@@ -16,7 +16,7 @@ from menid_plan.language import syntax
 from menid_plan.language.grammar import SYNTAX_ERRORS, lexer, parse_tokens
 from menid_plan.language.syntax import Token
 from menid_plan.language.syntax_errors import explain
-from menid_plan.language.tokens import BAD, TokenStream, nesting_diagnostic, shown
+from menid_plan.language.tokens import BAD, TokenStream, nesting_diagnostic
 from menid_plan.source import Diagnostic, SourceFile, Span
 
 
@@ -208,6 +208,8 @@ class _Recovery:
         self.lost.update(t.value for t in piece if t.type.startswith("NAME"))
         if self._is_full or any(token.type == BAD for token in piece):
             return
+        if _is_open(piece) and _at_end(error):
+            return  # an open brace is reported as such
         if isinstance(error, syntax.NestingError):
             begin, end = syntax.extent(error.node)
             self.diagnostics.append(nesting_diagnostic(Span(self.source, begin, end)))
@@ -219,22 +221,37 @@ class _Recovery:
         self.diagnostics.append(Diagnostic("error", code, message, span, hint))
 
     def _unclosed(self, pieces: list[list[Token]]) -> Iterator[Diagnostic]:
-        """A bracket that is still open where the next declaration starts."""
+        """Braces that are still open where the next rule or declaration starts."""
         for piece in pieces:
             stack: list[Token] = []
             for token in piece:
-                if token.value in ("(", "{"):
+                if token.value == "{":
                     stack.append(token)
-                elif token.value in (")", "}") and stack:
+                elif token.value == "}" and stack:
                     stack.pop()
-            if stack and stack[0].value == "{":
-                token = stack[0]
-                word = f"{piece[0].value} {shown(piece[1].value)}" if len(piece) > 1 else "it"
-                yield Diagnostic(
-                    "error", "M105", f"`{{` is never closed before `{word}` ends",
-                    Span(self.source, token.start, token.end),
-                    "each action, rule, table and block ends with a `}` of its own",
-                )  # fmt: skip
+                elif token.type == "RULE" and len(stack) > 1:
+                    yield self._open(stack[-1], "the next rule starts")
+                    del stack[1:]
+            if stack:
+                yield self._open(stack[-1], f"`{piece[0].value}` ends")
+
+    def _open(self, brace: Token, where: str) -> Diagnostic:
+        return Diagnostic(
+            "error", "M105", f"`{{` is not closed before {where}",
+            Span(self.source, brace.start, brace.end),
+            "each action, rule, table and block ends with a `}` of its own",
+        )  # fmt: skip
+
+
+def _is_open(piece: list[Token]) -> bool:
+    values = [token.value for token in piece]
+    return values.count("{") > values.count("}")
+
+
+def _at_end(error: Exception) -> bool:
+    """Whether an error is that a piece ends too early."""
+    token = getattr(error, "token", None)
+    return token is not None and not (isinstance(token, Token) and token.start < token.end)
 
 
 def declarations(tokens: list[Token]) -> Iterator[list[Token]]:

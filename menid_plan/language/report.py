@@ -13,6 +13,12 @@ from menid_plan.source import Diagnostic, SourceFile, Span
 _SUGGESTION_WORK = 200_000
 
 
+def counted(number: int, noun: str, plural: str = "") -> str:
+    """A number and its noun: ``1 rule``, ``2 rules``, ``no rules``."""
+    many = plural or f"{noun}s"
+    return f"{number or 'no'} {noun if number == 1 else many}"
+
+
 class Report:
     """The diagnostics of one text."""
 

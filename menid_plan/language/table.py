@@ -65,7 +65,7 @@ class Table:
                 )
                 lines.append([(head + tail).rstrip()])
             else:
-                lines.append(wrap([*row.effects, *row.reward], head, more))
+                lines.append(_wrapped(head, [*row.effects, *row.reward], more))
         return lines
 
     def _split(self, tokens: Sequence[Token]) -> Row:
@@ -99,3 +99,13 @@ class Table:
             sure = self.has_head or line[0].token.value == "noise"
             return at + 1 if sure or following not in ("", ",") else at
         return at
+
+
+def _wrapped(head: str, rest: list[Piece], more: str) -> list[str]:
+    """A long row: the effects start behind the cells if the first of them has room there."""
+    end = next(
+        (i for i, p in enumerate(rest) if i and p.rank is not None and p.rank < 2), len(rest)
+    )
+    if len(head) + len(text_of(rest[:end])) <= WIDTH:
+        return wrap(rest, head, more)
+    return [head.rstrip(), *wrap(rest, more, more)]

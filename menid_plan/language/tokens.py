@@ -167,9 +167,17 @@ def _note_bad(source: SourceFile, start: int, end: int, diagnostics: list[Diagno
             "M003",
             f"{named} has no meaning here",
             Span(source, start, end),
-            _SUGGESTIONS.get(value),
+            _suggestion(source, start, value),
         )
     )
+
+
+def _suggestion(source: SourceFile, start: int, value: str) -> str | None:
+    if value == "." and source.text[max(0, start - 2) : start] == "..":
+        return "a range has two points: n1..n9"
+    if value.isalpha():
+        return "names are made of the letters a to z and A to Z, digits, `_` and inner hyphens"
+    return _SUGGESTIONS.get(value)
 
 
 def shown(value: str) -> str:

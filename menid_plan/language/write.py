@@ -54,8 +54,8 @@ def _domain(domain: Domain) -> Iterator[str]:
     yield ""
     for derived in domain.derived:
         yield from _doc(derived.doc)
-        head = f"{derived.name}({variables_text(derived.parameters)})"
-        yield f"derived {head} = {formula_text(derived.formula)}"
+        parameters = f"({variables_text(derived.parameters)})" if derived.parameters else ""
+        yield f"derived {derived.name}{parameters} = {formula_text(derived.formula)}"
     yield ""
     for reward in domain.rewards:
         yield from _doc(reward.doc)

@@ -51,9 +51,9 @@ def fault(cells: Sequence[Expression], params: Mapping[str, float]) -> str | Non
         try:
             value = evaluate(cell, params)
         except EvaluationError as error:
-            return f"`{expression_text(cell)}` has no value: {error}"
+            return f"has `{expression_text(cell)}`, which has no value: {error}"
         if value < 0:
-            return f"`{expression_text(cell)}` is negative ({value:g})"
+            return f"has `{expression_text(cell)}`, which is negative ({value:g})"
         total += value
     if abs(total - 1) > TOLERANCE:
         return f"sums to {number_text(round(total, 9))}, not 1"
@@ -77,7 +77,7 @@ class ColumnFault:
     def __str__(self) -> str:
         where = f" for {', '.join(self.column.values)}" if self.column.values else ""
         name = f"column {self.column.environment}" if self.column.environment else "the column"
-        return f"{name}{where} of rule {self.action.name}.{self.rule.name}: {self.reason}"
+        return f"{name}{where} of rule {self.action.name}.{self.rule.name} {self.reason}"
 
 
 def column_faults(domain: Domain, params: Mapping[str, float]) -> Iterator[ColumnFault]:
