@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from pathlib import Path
 
@@ -71,6 +72,14 @@ def test_rules_never_conflict_and_distributions_are_known(path: Path) -> None:
                     seen.add(transition.state)
                     queue.append(transition.state)
     assert len(seen) > 1
+
+
+def test_the_tutorial_ends_with_the_shipped_greenhouse() -> None:
+    page = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
+    for name, file in (("greenhouse", "domain"), ("two-pots", "two-pots")):
+        last = re.findall(rf"```menid name={name}.menid\n(.*?)```", page, re.DOTALL)[-1]
+        shipped = ROOT / "domains" / "greenhouse" / f"{file}.menid"
+        assert shipped.read_text(encoding="utf-8") == last
 
 
 def test_the_features_of_the_language_are_all_used() -> None:

@@ -125,7 +125,8 @@ def test_ten_thousand_predicates(menid: Menid, tmp_path: Path) -> None:
     )
 
 
-WORDS = sorted(lexer().reserved_words) + [
+WORDS = [
+    *sorted(lexer().reserved_words),
     "(", ")", "{", "}", ",", ":", "=", "!=", "<", "<=", "|", "..", "+", "-", "*", "/",
     "a", "b", "p", "d", "noise", "target", "0.5", "1", "a:", "p(a)", "# c\n", "\n",
 ]  # fmt: skip

@@ -350,12 +350,8 @@ def _checked_params(
     domain: Domain, problem: Problem, override: Mapping[str, float]
 ) -> dict[str, float]:
     try:
-        values = param_values(domain, problem, override)
+        return param_values(domain, problem, override)
     except EvaluationError as error:
-        raise MeaningError(f"param: {error}") from error
+        raise MeaningError(str(error)) from error
     except KeyError as error:
         raise MeaningError(f"there is no param `{error.args[0]}`") from error
-    for name, value in values.items():
-        if not math.isfinite(value):
-            raise MeaningError(f"param `{name}` is {value}, not a finite number")
-    return values

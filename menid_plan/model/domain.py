@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
-from menid_plan.model.expressions import Expression, Number, evaluate, params_in
+from menid_plan.model.expressions import EvaluationError, Expression, Number, evaluate, params_in
 from menid_plan.model.formulas import Formula, GroundAtom, TypedVariable
 from menid_plan.model.rules import Action
 from menid_plan.source import Span
@@ -162,6 +163,8 @@ def param_values(
     for name, value in (override or {}).items():
         if name not in expressions:
             raise KeyError(name)
+        if not math.isfinite(value):
+            raise EvaluationError(f"param `{name}` is {value}, not a finite number")
         expressions[name] = Number(value)
     values: dict[str, float] = {}
     for name in _dependencies_first(expressions):
