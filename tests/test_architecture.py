@@ -22,6 +22,9 @@ ALLOWED = {
     "model": {"source", "errors"},
     "language": {"source", "errors", "resources", "model"},
     "grounding": {"source", "errors", "model"},
+    "compiled": set(),
+    "mdp": {"source", "errors", "model", "grounding", "compiled"},
+    "solving": {"source", "errors", "model", "grounding", "mdp"},
     "cli": {"source", "errors", "resources", "model", "language", "grounding"},
 }
 # Which packages from elsewhere are imported in one place only.

@@ -68,7 +68,7 @@ def test_check_json_has_lines_and_columns_from_1(menid: Menid, files: Path) -> N
             "severity": "error",
             "code": "M302",
             "message": "`p` takes 1 argument, not 0",
-            "hint": "declared as p(object)",
+            "hint": "declared as p(?)",
         },
     ]
 
@@ -280,11 +280,11 @@ def test_explain_text_of_one_action(menid: Menid, files: Path) -> None:
         "  rule already-loose covers",
         "    `the p: pcb, b: bay where in(p, b)` is p = board, b = tray",
         "",
-        "  outcome robot fine coarse reward changes",
-        "  freed     0.9  0.9    0.9    0.9 + on-table(board), - in(board, tray), -",
-        "                                   loose(board) (arrives in the goal)",
-        "  held      0.1  0.1    0.1   -0.1 nothing",
-        "  noise       0    0      0   -0.1 nothing",
+        "  outcome  robot  fine  coarse  reward  changes",
+        "  freed      0.9   0.9     0.9     0.9  + on-table(board), - in(board, tray), -",
+        "                                        loose(board) (arrives in the goal)",
+        "  held       0.1   0.1     0.1    -0.1  nothing",
+        "  noise        0     0       0    -0.1  nothing",
         "  included in the rewards: -0.1 for the cost of the action",
     ]
 

@@ -43,7 +43,7 @@ from menid_plan.grounding.formulas import WORK_LIMIT
 from menid_plan.language.declarations import MAX_RANGE
 from menid_plan.language.files import MAX_BYTES, check_files
 from menid_plan.language.grammar import lexer
-from menid_plan.language.parse import MAX_SYNTAX_ERRORS
+from menid_plan.language.recover import MAX_SYNTAX_ERRORS
 from menid_plan.language.syntax import MAX_NESTING
 
 ROOT = Path(__file__).parent.parent

@@ -90,13 +90,16 @@ def print_plain(console: Console, stream: TextIO) -> Iterator[None]:
         stream.write(line.rstrip() + "\n")
 
 
-def table(console: Console) -> Table:
-    """A table with a line under its head on a terminal, and white space alone elsewhere."""
+def table(console: Console, gap: int = 1) -> Table:
+    """A table with a line under its head on a terminal, and white space alone elsewhere.
+
+    ``gap`` is the number of spaces between two columns.
+    """
     from rich import box
     from rich.table import Table
 
     style = box.SIMPLE_HEAD if console.is_terminal else None
-    return Table(box=style, padding=(0, 1, 0, 0), pad_edge=False)
+    return Table(box=style, padding=(0, gap, 0, 0), pad_edge=False)
 
 
 @contextmanager

@@ -17,10 +17,12 @@ from menid_plan.cli.common import (
     print_plain,
 )
 from menid_plan.cli.explain_text import show_action, show_state
+from menid_plan.errors import InputError
 from menid_plan.grounding.explain import explain
 from menid_plan.grounding.semantics import Semantics
 from menid_plan.grounding.state import GroundAction
 from menid_plan.language.ground import read_action, read_state
+from menid_plan.source import Diagnostic
 
 # Steps of evaluation for one answer: a few seconds' worth.
 _WORK_LIMIT = 2_000_000
@@ -59,7 +61,15 @@ def command(
     state = semantics.initial_state
     if state_text is not None:
         state = read_state(state_text, domain, problem, "--state")
-    chosen = [GroundAction(*read_action(text, domain, problem, "ACTION")) for text in actions]
+    chosen: list[GroundAction] = []
+    wrong: list[Diagnostic] = []
+    for text in actions:
+        try:
+            chosen.append(GroundAction(*read_action(text, domain, problem, "ACTION")))
+        except InputError as error:
+            wrong.extend(error.diagnostics)
+    if wrong:
+        raise InputError(wrong)
     explanation = explain(semantics, state, chosen or None)
     with opened(output) as stream:
         if as_json:

@@ -18,7 +18,7 @@ from menid_plan.grounding.explain import (
 )
 from menid_plan.model.formulas import GroundAtom
 
-# Without --verbose no more actions that do not apply are listed.
+# Without --verbose no more derived atoms, and actions that do not apply, are listed.
 _LISTED = 12
 
 
@@ -27,8 +27,12 @@ def show_state(
 ) -> None:
     """Print the state and, if asked, which actions apply in it."""
     console.print(_fact("state", _atoms(explanation.state) or "no atom holds"))
-    if explanation.derived:
-        console.print(_fact("derived", _atoms(explanation.derived)))
+    derived = explanation.derived
+    if len(derived) > _LISTED and not verbose:
+        more = f", and {len(derived) - _LISTED} more; --verbose lists them"
+        console.print(_fact("derived", _atoms(derived[:_LISTED]) + more))
+    elif derived:
+        console.print(_fact("derived", _atoms(derived)))
     if explanation.is_goal:
         console.print(_fact("goal", "holds here: an episode ends"))
     if explanation.is_dead_end:
@@ -88,12 +92,12 @@ def _rule(rule: RuleExplanation, console: Console) -> None:
     for text, why in rule.failed:
         part = "the condition" if f"`{text}`" in why else f"`{text}`"
         console.print(Padding(Text(f"{part} fails: {why}"), (0, 0, 0, 4)))
-    if not rule.references and not rule.failed:
-        console.print(Padding(Text(rule.reason), (0, 0, 0, 4)))
+    if not rule.references and not rule.failed and rule.reason != "covers":
+        console.print(Padding(Text(rule.reason.removeprefix("covers ")), (0, 0, 0, 4)))
 
 
 def _outcomes(outcomes: tuple[OutcomeExplanation, ...], console: Console) -> Table:
-    shown = table(console)
+    shown = table(console, gap=2)
     shown.add_column("outcome", no_wrap=True)
     for environment in outcomes[0].probability:
         shown.add_column(environment, justify="right", no_wrap=True)

@@ -128,7 +128,10 @@ def _action(action: Action, domain: Domain, console: Console) -> None:
         for kind, blocks in (("probabilities", rule.probabilities), ("observed", rule.observed)):
             kept_apart = [block for block in blocks if block.values]
             if kept_apart:
-                apart_table = _blocks(kind, kept_apart, rule, domain, console)
+                order = "/".join(outcome.name for outcome in rule.outcomes)
+                title = Text(f"{kind}, by {', '.join(rule.per)}: {order}")
+                console.print(Padding(title, (0, 0, 0, 4)))
+                apart_table = _blocks(kept_apart, rule, domain, console)
                 console.print(Padding(apart_table, (0, 0, 0, 4)))
 
 
@@ -193,14 +196,9 @@ def _cell(probability: object, count: str | None) -> str:
     return shown if count is None else f"{shown} ({count})"
 
 
-def _blocks(
-    kind: str, blocks: Sequence[Block], rule: Rule, domain: Domain, console: Console
-) -> Table:
+def _blocks(blocks: Sequence[Block], rule: Rule, domain: Domain, console: Console) -> Table:
     """Blocks for values of `per`: a line for each value, its numbers in the order of outcomes."""
     shown = table(console)
-    order = "/".join(outcome.name for outcome in rule.outcomes)
-    shown.title = f"{kind}, by {', '.join(rule.per)}: {order}"
-    shown.title_justify = "left"
     shown.add_column(", ".join(rule.per), no_wrap=True)
     names = [
         e.name for e in domain.all_environments if any(e.name in b.environments for b in blocks)

@@ -37,7 +37,7 @@ from menid_plan.model.formulas import (
     Truth,
     TypedVariable,
 )
-from menid_plan.model.strata import negative_cycles, occurrences, strata
+from menid_plan.model.strata import is_recursive, negative_cycles, occurrences, strata
 
 COMPARISONS = {"=": eq, "!=": ne, "<": lt, "<=": le, ">": gt, ">=": ge}
 
@@ -64,7 +64,7 @@ class _Stratum:
     def of(cls, predicates: Sequence[DerivedPredicate]) -> _Stratum:
         own = {p.name for p in predicates}
         found = {name for p in predicates for name, _ in occurrences(p.formula)}
-        return cls(tuple(predicates), tuple(sorted(found - own)), bool(found & own))
+        return cls(tuple(predicates), tuple(sorted(found - own)), is_recursive(predicates))
 
 
 class Formulas:

@@ -11,7 +11,8 @@ from menid_plan.language.check_domain import DomainChecker
 from menid_plan.language.check_problem import ProblemChecker
 from menid_plan.language.declarations import Documentation
 from menid_plan.language.names import Names, names_of
-from menid_plan.language.parse import SyntaxResult, parse
+from menid_plan.language.parse import parse
+from menid_plan.language.recover import SyntaxResult
 from menid_plan.language.report import Report
 from menid_plan.model.domain import (
     Domain,

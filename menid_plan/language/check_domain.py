@@ -123,7 +123,7 @@ class DomainChecker(RuleChecker, Declarations):
                     self.doc(node.keyword), self.report.span(node.keyword, node.name),
                 )
             )  # fmt: skip
-        if nodes and target is None:
+        if nodes and target is None and not self.report.knows_errors:
             self.report.error(
                 "M307", "no environment is the target", nodes[0].name,
                 f"write `environment {nodes[0].name.value} : target` for the one that counts",

@@ -6,7 +6,7 @@ import math
 from typing import cast
 
 from menid_plan.language import syntax
-from menid_plan.language.names import Names, Scope, Types
+from menid_plan.language.names import UNKNOWN, Names, Scope, Types
 from menid_plan.language.report import Report
 from menid_plan.language.syntax import Token
 from menid_plan.language.tokens import shown
@@ -113,6 +113,8 @@ class FormulaChecker:
         hint = None
         if name in self.names.parents or name == OBJECT:
             hint = f"`{name}` is a type; an argument is a variable, a constant or an object"
+        elif scope and not self.names.constants:
+            hint = "a variable, or a constant of the domain; a rule can't name a problem's objects"
         kind = "object" if not scope else "variable or constant"
         self.report.unknown("M204", kind, token, [*scope, *self.names.objects], hint)
         return fo.Variable(name), ()
@@ -128,32 +130,33 @@ class FormulaChecker:
         for group in groups:
             types = self.types(group.types)
             for token in group.names:
-                self._hides(token, inner)
-                inner[token.value] = types
+                hides = self._hides(token, inner)
+                inner[token.value] = (UNKNOWN,) if hides else types
                 declared.append(fo.TypedVariable(token.value, types))
         return tuple(declared), inner
 
-    def _hides(self, token: Token, scope: Scope) -> None:
+    def _hides(self, token: Token, scope: Scope) -> bool:
         name = token.value
         if name in scope:
             message = f"variable `{name}` hides another variable of that name"
         elif name in self.names.constants:
             message = f"variable `{name}` hides the constant of that name"
         else:
-            return
+            return False
         self.report.error("M208", message, token, "give it a name of its own")
+        return True
 
     def types(self, tokens: list[Token]) -> Types:
         """The types of a union, each declared."""
         return tuple(self.type(token) for token in tokens)
 
     def type(self, token: Token) -> str:
-        """A declared type; ``object`` in place of one that is not."""
+        """A declared type; UNKNOWN in place of one that is not."""
         name = token.value
         if name == OBJECT or name in self.names.parents:
             return name
         self.report.unknown("M202", "type", token, self.names.types)
-        return OBJECT
+        return UNKNOWN
 
     # ---------------------------------------------------------------------------- expressions
 

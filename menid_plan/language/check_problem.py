@@ -123,6 +123,8 @@ class ProblemChecker(FormulaChecker, Declarations):
 
     def _values_of_blocks(self, domain: Domain, place: Token) -> None:
         """Warns of blocks for objects that this problem lacks: they are kept, and not used."""
+        if self.report.knows_errors:
+            return
         seen: set[str] = set()
         for action in domain.actions:
             types = {v.name: v.types for v in action.parameters}

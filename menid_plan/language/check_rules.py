@@ -12,7 +12,7 @@ from menid_plan.language.report import Report, counted
 from menid_plan.language.syntax import Token
 from menid_plan.model.expressions import Expression, evaluate, params_in
 from menid_plan.model.formulas import TRUE, Atom
-from menid_plan.model.probabilities import fault
+from menid_plan.model.probabilities import TOLERANCE, fault
 from menid_plan.model.rules import (
     NOISE,
     Action,
@@ -78,12 +78,12 @@ class RuleChecker(FormulaChecker):
             references.append(Reference(declared, formula, span))
         condition = self.formula(node.context.condition, scope) if node.context.condition else TRUE
         heads = self._environments(node.outcomes.environments)
-        outcomes = self._outcomes(node.outcomes, heads, scope)
+        outcomes = self._outcomes(node.outcomes, heads, scope, node.whole)
         names = [outcome.name for outcome in outcomes]
         probabilities: list[Block] = []
         observed: list[Block] = []
         for block in node.blocks:
-            checked = self._block(block, names, per)
+            checked = self._block(block, names, per, node.whole)
             self._constants_fit(block, per_types)
             (probabilities if isinstance(block, syntax.Probabilities) else observed).append(checked)
         rule = Rule(
@@ -105,24 +105,27 @@ class RuleChecker(FormulaChecker):
                 )  # fmt: skip
         return tuple(token.value for token in tokens)
 
-    def _environments(self, tokens: list[Token]) -> tuple[str, ...]:
+    def _environments(self, tokens: list[Token], per: tuple[str, ...] = ()) -> tuple[str, ...]:
         seen: dict[str, Token] = {}
         for token in tokens:
             self._once("the column for environment", token, seen)
             if token.value not in self.names.environments:
-                self.report.unknown("M206", "environment", token, self.names.environments)
+                hint = None
+                if token.value in per:
+                    hint = f"an object that `{token.value}` can be stands behind `for`"
+                self.report.unknown("M206", "environment", token, self.names.environments, hint)
         return tuple(token.value for token in tokens)
 
     # -------------------------------------------------------------------------- outcome tables
 
     def _outcomes(
-        self, node: syntax.Outcomes, heads: tuple[str, ...], scope: Scope
+        self, node: syntax.Outcomes, heads: tuple[str, ...], scope: Scope, complete: bool
     ) -> tuple[Outcome, ...]:
+        """The outcomes of a table; ``complete`` unless rows were left out of it."""
         seen: dict[str, Token] = {}
         outcomes: list[Outcome] = []
         noise: Outcome | None = None
         width = len(heads) if heads else self._width_without_head(node)
-        complete = True
         for row in node.rows:
             self._once("outcome", row.name, seen)
             outcome, whole = self._row(row, width, bool(heads), scope)
@@ -158,6 +161,7 @@ class RuleChecker(FormulaChecker):
     ) -> tuple[Outcome, bool]:
         """The outcome of a row, and whether it has the right number of cells."""
         items = row.items
+        items, whole = self._strays(items, width)
         count = 0
         while count < len(items) and self._is_cell(items[count], wanted=count < width):
             count += 1
@@ -168,12 +172,44 @@ class RuleChecker(FormulaChecker):
             value = self.value(cell, item)
             if value is not None and value < 0:
                 self.report.error("M403", f"a negative probability ({value:g})", item)
+            elif value is not None and value > 1 + TOLERANCE:
+                self.report.error("M404", f"a probability above 1 ({value:g})", item)
         effects = self._effects(row, items[count:], scope)
         reward = self.expression(row.reward) if row.reward else None
         outcome = Outcome(
             row.name.value, cells, effects, reward, self.doc(row.name), self.report.span(row.name)
         )
-        return outcome, count == width
+        return outcome, whole and count == width
+
+    def _strays(self, items: list[syntax.Item], width: int) -> tuple[list[syntax.Item], bool]:
+        """Items without what is reported here: commas between cells, and a row without its colon.
+
+        The second value is whether nothing was left out but commas.
+        """
+        cells = 0
+        kept: list[syntax.Item] = []
+        commas = []
+        for index, item in enumerate(items):
+            following = items[index + 1] if index + 1 < len(items) else None
+            before_cell = following is not None and self._is_cell(following)
+            is_comma = isinstance(item, Token) and item.type == "COMMA"
+            if is_comma and kept and len(kept) == cells and (before_cell or cells == width):
+                commas.append(item)
+                continue
+            if isinstance(item, syntax.BareName) and before_cell and cells >= width and width:
+                self.report.error(
+                    "M418", f"the name of a row is followed by `:`: `{item.token.value}:`", item,
+                    "or is a comma missing before an effect?",
+                )  # fmt: skip
+                return kept, False
+            cells += self._is_cell(item) and len(kept) == cells
+            kept.append(item)
+        if commas:
+            self.report.error(
+                "M417", "no comma between the probabilities, nor behind them", commas[0],
+                "spaces separate the columns; commas separate effects",
+            )  # fmt: skip
+        return kept, True
 
     def _wrong_width(self, row: syntax.Row, width: int, count: int, has_head: bool) -> None:
         columns = counted(width, "probability", "probabilities")
@@ -286,14 +322,16 @@ class RuleChecker(FormulaChecker):
 
     # --------------------------------------------------------------------------------- blocks
 
-    def _block(self, node: syntax.Block, outcomes: list[str], per: tuple[str, ...]) -> Block:
+    def _block(
+        self, node: syntax.Block, outcomes: list[str], per: tuple[str, ...], complete: bool
+    ) -> Block:
         word = node.keyword.value
         if not node.environments:
             self.report.error(
                 "M206", f"`{word}` names no environment", node.keyword,
                 f"write `{word} {' '.join(self.names.environments)} {{ ... }}`",
             )  # fmt: skip
-        environments = self._environments(node.environments)
+        environments = self._environments(node.environments, per)
         values = tuple(token.value for token in node.values or [])
         if node.values is not None and len(values) != len(per):
             wanted = f"one value for each of: {', '.join(per)}" if per else "no values"
@@ -305,7 +343,8 @@ class RuleChecker(FormulaChecker):
         elif node.values is None and per and isinstance(node, syntax.Observed):
             self.report.error(
                 "M411", "`observed` in a `per` rule needs `for`", node.keyword,
-                f"write `observed {' '.join(environments)} for {', '.join(per).upper()} {{`",
+                f"write `observed {' '.join(environments)} for VALUE {{`, VALUE an object that "
+                f"`{', '.join(per)}` can be",
             )  # fmt: skip
         rows = self._block_rows(node, outcomes)
         last = node.values[-1] if node.values else (node.environments or [node.keyword])[-1]
@@ -313,8 +352,10 @@ class RuleChecker(FormulaChecker):
             environments, values, tuple(rows), self.doc(node.keyword),
             self.report.span(node.keyword, last),
         )  # fmt: skip
-        if isinstance(node, syntax.Probabilities) and all(
-            len(cells) == len(environments) for _, cells in rows
+        if (
+            complete
+            and isinstance(node, syntax.Probabilities)
+            and all(len(cells) == len(environments) for _, cells in rows)
         ):
             for index, token in enumerate(node.environments):
                 column = [cells[index] for _, cells in rows]

@@ -88,7 +88,7 @@ class Declarations:
             return []
         if last[1] < first[1]:
             self.report.error("M305", "a range ascends", item)
-            return []
+            first, last = last, first
         if last[1] - first[1] >= MAX_RANGE:
             self.report.error("M305", f"a range names at most {MAX_RANGE} objects", item)
             return []

@@ -10,7 +10,8 @@ from pathlib import Path
 
 from menid_plan.errors import InputError, LimitError
 from menid_plan.language.check import CheckResult, Known, check_syntax
-from menid_plan.language.parse import SyntaxResult, parse
+from menid_plan.language.parse import parse
+from menid_plan.language.recover import SyntaxResult
 from menid_plan.model.domain import Domain, Problem
 from menid_plan.source import Diagnostic, SourceFile, Span
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from menid_plan.language.grammar import lexer
-from menid_plan.language.parse import declarations
+from menid_plan.language.pieces import declarations
 from menid_plan.language.syntax import Token
 from menid_plan.language.table import Table
 from menid_plan.language.tokens import Comment, TokenStream

@@ -11,6 +11,10 @@ Types: TypeAlias = tuple[str, ...]
 Scope: TypeAlias = dict[str, Types]
 
 
+# In the place of a type that is not declared; it fits everything, so that one slip is one error.
+UNKNOWN = "?"
+
+
 @dataclass(slots=True)
 class Names:
     """The declared names of a domain and, in a problem, of its objects."""
@@ -41,6 +45,8 @@ class Names:
     def fits(self, given: Types, asked: Types) -> bool:
         """Whether an object of any of the given types is of one of those asked for."""
         wanted = set(asked)
+        if UNKNOWN in wanted or UNKNOWN in given:
+            return True  # what is wrong was said where the type was named
         return all(not wanted.isdisjoint(self.ancestors(name)) for name in given)
 
     def ancestors(self, name: str) -> frozenset[str]:

@@ -34,6 +34,11 @@ class Report:
         return Span(self.source, start, end if last is None else extent(last)[1])
 
     @property
+    def knows_errors(self) -> bool:
+        """Whether anything is wrong so far, in what could be read or in what could not."""
+        return bool(self._lost) or any(d.is_error for d in self.diagnostics)
+
+    @property
     def start(self) -> Span:
         """The first character of the text."""
         return Span(self.source, 0, min(1, len(self.source.text)))
@@ -77,7 +82,7 @@ class Report:
     def similar(self, name: str, candidates: list[str]) -> str | None:
         """The candidate that looks most like a name, if one does."""
         self._work -= len(candidates)
-        if self._work < 0 or len(name) > 100:
+        if self._work < 0 or not 2 < len(name) < 100:
             return None
         from difflib import get_close_matches
 

@@ -285,6 +285,7 @@ class Rule:
     context: Context
     outcomes: Outcomes
     blocks: list[Block]
+    whole: bool = True  # False if rows or conditions that do not parse were left out
 
 
 @dataclass(slots=True, eq=False, repr=False)

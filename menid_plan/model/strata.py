@@ -9,7 +9,7 @@ through a negative occurrence.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -27,6 +27,7 @@ from menid_plan.model.formulas import (
     Or,
     Truth,
 )
+from menid_plan.model.graph import components
 
 
 class _Sign(Enum):
@@ -92,6 +93,12 @@ def occurrences(formula: Formula) -> Iterator[tuple[str, bool]]:
                 pending.append((body, _Sign.MIXED))
 
 
+def is_recursive(stratum: Sequence[DerivedPredicate]) -> bool:
+    """Whether the predicates of a stratum depend on themselves or each other."""
+    own = {predicate.name for predicate in stratum}
+    return any(name in own for p in stratum for name, _ in occurrences(p.formula))
+
+
 def strata(domain: Domain) -> list[list[DerivedPredicate]]:
     """The derived predicates in groups; each depends on its own group and on earlier ones alone.
 
@@ -102,7 +109,7 @@ def strata(domain: Domain) -> list[list[DerivedPredicate]]:
     position = {name: index for index, name in enumerate(predicates)}
     return [
         [predicates[name] for name in sorted(component, key=position.__getitem__)]
-        for component in _components(_dependencies(predicates))
+        for component in components(_dependencies(predicates))
     ]
 
 
@@ -141,48 +148,6 @@ def _dependencies(predicates: Mapping[str, DerivedPredicate]) -> dict[str, tuple
         name: tuple(dict.fromkeys(n for n, _ in occurrences(p.formula) if n in predicates))
         for name, p in predicates.items()
     }
-
-
-def _components(graph: Mapping[str, tuple[str, ...]]) -> Iterator[list[str]]:
-    """Tarjan's strongly connected components, those that others depend on first.
-
-    The recursion is a list, for there may be more predicates in a chain than Python recurses.
-    """
-    index: dict[str, int] = {}
-    low: dict[str, int] = {}
-    open_nodes: list[str] = []
-    is_open: set[str] = set()
-    for root in graph:
-        path = [] if root in index else [(root, iter(graph[root]))]
-        while path:
-            node, successors = path[-1]
-            if node not in index:
-                index[node] = low[node] = len(index)
-                open_nodes.append(node)
-                is_open.add(node)
-            for successor in successors:
-                if successor not in index:
-                    path.append((successor, iter(graph[successor])))
-                    break
-                if successor in is_open:
-                    low[node] = min(low[node], index[successor])
-            else:
-                path.pop()
-                if path:
-                    low[path[-1][0]] = min(low[path[-1][0]], low[node])
-                if low[node] == index[node]:
-                    component = _pop_through(open_nodes, node)
-                    is_open.difference_update(component)
-                    yield component
-
-
-def _pop_through(stack: list[str], last: str) -> list[str]:
-    start = len(stack) - 1
-    while stack[start] != last:
-        start -= 1
-    popped = stack[start:]
-    del stack[start:]
-    return popped
 
 
 def _shortest_path(

@@ -1,0 +1,447 @@
+"""A problem as bit masks: packed states, ground rules, and the program for all that is derived.
+
+A state is W words of 64 bits, one bit for each fact that changes. Behind them an *extended* state has
+bits for what is computed from it: conditions that are no conjunction of bits (disjunctions, counts,
+recursive derived atoms). Everything that is asked of a state (where a rule covers, where an effect
+happens, the goal) is then a *cube*: entries (word, mask, value), each of which demands that
+``extended[word] & mask == value``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from menid_plan.errors import MeaningError
+from menid_plan.grounding.circuit import FALSE, TRUE, Circuit, Signal
+from menid_plan.grounding.instantiate import GroundRule, Instantiation
+from menid_plan.grounding.prune import prune
+from menid_plan.grounding.state import GroundAction, State
+from menid_plan.model.domain import Domain, Problem, param_values
+from menid_plan.model.expressions import EvaluationError, Expression, evaluate
+from menid_plan.model.formulas import GroundAtom
+from menid_plan.model.graph import components
+from menid_plan.model.rules import Rule
+
+WORD = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Distribution:
+    """What one distribution over outcomes is for: a rule and the values of its `per` parameters.
+
+    Its outcomes have the slots ``start``, ``start + 1``, ..., noise last.
+    """
+
+    action: str
+    rule: Rule
+    values: tuple[str, ...]
+    start: int
+
+    @property
+    def slots(self) -> range:
+        """The slots of its outcomes."""
+        return range(self.start, self.start + len(self.rule.outcomes))
+
+    def __str__(self) -> str:
+        per = f" for {', '.join(self.values)}" if self.values else ""
+        return f"{self.action}.{self.rule.name}{per}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tables:
+    """The arrays of a ground problem, as the compiled kernels read them.
+
+    Ranges are by offsets: those of item i are ``start[i]`` to ``start[i + 1]``.
+
+    Entries (of cubes and counts): ``entry_word`` int32, ``entry_mask`` and ``entry_value`` uint64.
+    Operations of the program, each of which sets one bit: ``op_kind`` uint8 (0: all entries match, 1:
+    so many bits match, 2: at least so many), ``op_number``, ``op_entries`` (offsets), ``op_word``,
+    ``op_bit``. Segments of it: ``segment_ops`` (offsets), ``segment_loops`` uint8 (repeat until nothing
+    changes). Rules: ``rule_entries``, ``rule_outcomes`` (offsets), ``rule_action``. Outcomes:
+    ``outcome_slot``, ``outcome_noise`` uint8, ``outcome_effects`` (offsets). Effects:
+    ``effect_entries``, ``effect_changes`` (offsets). Changes: ``change_word``, ``change_delete``,
+    ``change_add``. Rewards of states: ``reward_entries`` (offsets), ``reward_value`` float64. The
+    cube of the goal: ``goal_entries`` (two offsets; equal to -1 without a goal).
+    """
+
+    words: int
+    extended_words: int
+    entry_word: NDArray[np.int32]
+    entry_mask: NDArray[np.uint64]
+    entry_value: NDArray[np.uint64]
+    op_kind: NDArray[np.uint8]
+    op_number: NDArray[np.int32]
+    op_entries: NDArray[np.int32]
+    op_word: NDArray[np.int32]
+    op_bit: NDArray[np.uint64]
+    segment_ops: NDArray[np.int32]
+    segment_loops: NDArray[np.uint8]
+    rule_entries: NDArray[np.int32]
+    rule_outcomes: NDArray[np.int32]
+    rule_action: NDArray[np.int32]
+    outcome_slot: NDArray[np.int32]
+    outcome_noise: NDArray[np.uint8]
+    outcome_effects: NDArray[np.int32]
+    effect_entries: NDArray[np.int32]
+    effect_changes: NDArray[np.int32]
+    change_word: NDArray[np.int32]
+    change_delete: NDArray[np.uint64]
+    change_add: NDArray[np.uint64]
+    reward_entries: NDArray[np.int32]
+    reward_value: NDArray[np.float64]
+    goal_entries: NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroundProblem:
+    """A problem grounded: names for the numbers in its tables.
+
+    ``facts[i]`` is the atom of bit i; ``always`` are the atoms that hold in every reachable state.
+    ``slot_reward`` (float64) is what each slot's outcome pays, ``action_cost`` what each action costs.
+    """
+
+    domain: Domain
+    problem: Problem
+    params: Mapping[str, float]
+    facts: tuple[GroundAtom, ...]
+    always: frozenset[GroundAtom]
+    actions: tuple[GroundAction, ...]
+    rules: tuple[GroundRule, ...]
+    distributions: tuple[Distribution, ...]
+    rule_distribution: tuple[int, ...]
+    initial: NDArray[np.uint64]
+    slot_reward: NDArray[np.float64]
+    action_cost: NDArray[np.float64]
+    goal_reward: float
+    dead_end_reward: float
+    tables: Tables
+    seconds: float
+
+    @property
+    def slots(self) -> int:
+        """How many slots for probabilities there are."""
+        return len(self.slot_reward)
+
+    def pack(self, state: State) -> NDArray[np.uint64]:
+        """A state as words; atoms that never change are left out."""
+        words = np.zeros(self.tables.words, np.uint64)
+        for bit, atom in enumerate(self.facts):
+            if atom in state:
+                words[bit // WORD] |= np.uint64(1 << bit % WORD)
+        return words
+
+    def unpack(self, words: NDArray[np.uint64]) -> State:
+        """The state of some words, with the atoms that always hold."""
+        found = set(self.always)
+        for index, word in enumerate(words.tolist()):
+            while word:
+                low = word & -word
+                found.add(self.facts[index * WORD + low.bit_length() - 1])
+                word ^= low
+        return frozenset(found)
+
+
+def ground(
+    domain: Domain, problem: Problem, params: Mapping[str, float] | None = None
+) -> GroundProblem:
+    """Ground a problem; ``params`` sets params of the domain anew.
+
+    Raises MeaningError for a param or reward without a value, LimitError if there is too much to do.
+    """
+    start = time.perf_counter()
+    try:
+        values = param_values(domain, problem, params)
+    except EvaluationError as error:
+        raise MeaningError(str(error)) from error
+    except KeyError as error:
+        raise MeaningError(f"there is no param `{error.args[0]}`") from error
+    work = Instantiation(domain, problem)
+    rules = list(work.rules())
+    rewards, signals = [], []
+    for reward in domain.rewards:
+        for signal in work.bound_signals(reward.variables, reward.condition):
+            rewards.append(_value(reward.reward, values, "a reward of states"))
+            signals.append(signal)
+    goal = TRUE if problem.goal is None else work.signal(problem.goal, {})
+    pruned = prune(work.circuit, rules, [goal, *signals], work.init)
+    builder = _Builder(pruned.circuit, pruned.rules)
+    tables = builder.tables(
+        pruned.signals[0] if problem.goal is not None else None, pruned.signals[1:], rewards
+    )
+    facts = tuple(builder.facts)
+    always = work.init.difference(facts)
+    costs = {
+        action.name: _value(action.cost, values, f"the cost of action `{action.name}`")
+        for action in domain.actions
+    }
+    slot_reward = [
+        _value(outcome.reward, values, f"the reward of outcome `{outcome.name}`")
+        for distribution in builder.distributions
+        for outcome in distribution.rule.outcomes
+    ]
+    initial = np.zeros(tables.words, np.uint64)
+    for bit, atom in enumerate(facts):
+        if atom in work.init:
+            initial[bit // WORD] |= np.uint64(1 << bit % WORD)
+    return GroundProblem(
+        domain, problem, values, facts, always, tuple(builder.actions), tuple(pruned.rules),
+        tuple(builder.distributions), tuple(builder.rule_distribution), initial,
+        np.array(slot_reward, np.float64),
+        np.array([costs[action.action] for action in builder.actions], np.float64),
+        _value(problem.goal_reward, values, "the goal's reward"),
+        _value(problem.dead_end_reward, values, "the dead end's reward"),
+        tables, time.perf_counter() - start,
+    )  # fmt: skip
+
+
+def _value(expression: Expression | None, params: Mapping[str, float], what: str) -> float:
+    if expression is None:
+        return 0.0
+    try:
+        return evaluate(expression, params)
+    except EvaluationError as error:
+        raise MeaningError(f"{what}: {error}") from error
+
+
+class _Builder:
+    """Numbers facts, actions and distributions, and fills the tables."""
+
+    def __init__(self, circuit: Circuit, rules: list[GroundRule]) -> None:
+        self.circuit = circuit
+        self.rules = rules
+        self.facts = sorted(n.atom for n in circuit.nodes if n.kind == "fact" and n.atom)
+        self.actions = list(dict.fromkeys(rule.action for rule in rules))
+        self.distributions: list[Distribution] = []
+        self.rule_distribution: list[int] = []
+        self._number_distributions()
+        self.words = max(1, -(-len(self.facts) // WORD))
+        self._bits = {
+            number: self._fact_bits()[node.atom]
+            for number, node in enumerate(circuit.nodes)
+            if node.kind == "fact" and node.atom is not None
+        }
+        self.entries: list[tuple[int, int, int]] = []
+
+    def _fact_bits(self) -> dict[GroundAtom, int]:
+        if not hasattr(self, "_by_fact"):
+            self._by_fact = {atom: bit for bit, atom in enumerate(self.facts)}
+        return self._by_fact
+
+    def _number_distributions(self) -> None:
+        known: dict[tuple[str, str, tuple[str, ...]], int] = {}
+        start = 0
+        for rule in self.rules:
+            key = (rule.action.action, rule.rule.name, rule.values)
+            if key not in known:
+                known[key] = len(self.distributions)
+                self.distributions.append(Distribution(key[0], rule.rule, rule.values, start))
+                start += len(rule.rule.outcomes)
+            self.rule_distribution.append(known[key])
+
+    # ------------------------------------------------------------------------------- cubes
+
+    def _literals(self, signal: Signal) -> list[Signal]:
+        """The signals whose conjunction a signal is."""
+        node = self.circuit.nodes[signal >> 1]
+        if node.kind == "all" and not signal & 1:
+            return list(node.operands)
+        return [] if signal == TRUE else [signal]
+
+    def _cube(self, literals: list[Signal]) -> int:
+        """Append the entries that demand these signals; the offset behind them."""
+        masks: dict[int, tuple[int, int]] = {}
+        for literal in literals:
+            if literal == FALSE:
+                self.entries.append((0, 0, 1))  # nothing matches
+                continue
+            word, bit = divmod(self._bits[literal >> 1], WORD)
+            mask, value = masks.get(word, (0, 0))
+            if mask >> bit & 1:  # a count may have one operand twice
+                self.entries.append((word, 1 << bit, (~literal & 1) << bit))
+                continue
+            masks[word] = (mask | 1 << bit, value | (~literal & 1) << bit)
+        self.entries.extend((word, mask, value) for word, (mask, value) in masks.items())
+        return len(self.entries)
+
+    # --------------------------------------------------------------------------- the program
+
+    def _program(self, roots: list[Signal]) -> list[list[int]]:
+        """The nodes that need a bit of their own, in groups to be computed one after the other."""
+        needed: dict[int, tuple[int, ...]] = {}
+        stack = [literal >> 1 for root in roots for literal in self._literals(root)]
+        while stack:
+            number = stack.pop()
+            if number in needed or self.circuit.nodes[number].kind == "fact":
+                continue
+            below: list[int] = []
+            for operand in self.circuit.operands(number):
+                literals = [operand]
+                if self.circuit.nodes[number].kind == "derived":
+                    literals = self._literals(operand)
+                below.extend(
+                    li >> 1 for li in literals if self.circuit.nodes[li >> 1].kind != "fact"
+                )
+            needed[number] = tuple(n for n in below if n)
+            stack.extend(needed[number])
+        groups = [sorted(group, key=self._rank) for group in components(needed)]
+        bit = self.words * WORD
+        for group in groups:
+            for number in group:
+                self._bits[number] = bit
+                bit += 1
+        self.extended_words = -(-bit // WORD)
+        return groups
+
+    def _rank(self, number: int) -> tuple[bool, int]:
+        """Derived atoms come last in their group.
+
+        So a pass first computes what the other nodes are with the atoms found so far, and then the
+        atoms that follow: from none at all upwards, which ends in the least model.
+        """
+        return self.circuit.nodes[number].kind == "derived", number
+
+    def tables(self, goal: Signal | None, conditions: list[Signal], rewards: list[float]) -> Tables:
+        """All tables; ``goal`` and the ``conditions`` of ``rewards`` are signals of the circuit."""
+        roots = [goal] if goal is not None else []
+        roots += conditions
+        for rule in self.rules:
+            roots.append(rule.condition)
+            roots += [effect.condition for outcome in rule.effects for effect in outcome]
+        groups = self._program(roots)
+        table = _Columns()
+        self._fill_program(groups, table)
+        self._fill_rules(table)
+        table.start("reward_entries", len(self.entries))
+        for condition, reward in zip(conditions, rewards, strict=True):
+            if condition and reward:
+                table.add(reward_entries=self._cube(self._literals(condition)), reward_value=reward)
+        begin = len(self.entries)
+        goal_entries = [-1, -1]
+        if goal is not None:
+            goal_entries = [begin, self._cube(self._literals(goal))]
+        words, masks, values = zip(*self.entries, strict=True) if self.entries else ((), (), ())
+        return Tables(
+            words=self.words,
+            extended_words=self.extended_words,
+            entry_word=np.array(words, np.int32),
+            entry_mask=np.array(masks, np.uint64),
+            entry_value=np.array(values, np.uint64),
+            goal_entries=np.array(goal_entries, np.int32),
+            **table.arrays(),
+        )
+
+    def _fill_program(self, groups: list[list[int]], table: _Columns) -> None:
+        table.start("op_entries", len(self.entries))
+        table.start("segment_ops", 0)
+        ops = 0
+        for group in groups:
+            loops = False
+            for number in group:
+                node = self.circuit.nodes[number]
+                if node.kind == "derived":
+                    literals = self._literals(self.circuit.definitions[number])
+                    loops = True
+                else:
+                    literals = list(node.operands)
+                kind = 0 if node.kind != "count" else 1 if node.comparison == "=" else 2
+                word, bit = divmod(self._bits[number], WORD)
+                table.add(
+                    op_kind=kind, op_number=node.number, op_entries=self._cube(literals),
+                    op_word=word, op_bit=1 << bit,
+                )  # fmt: skip
+                ops += 1
+            # One long run of operations that need no repeating is one segment.
+            if not loops and table.last("segment_loops") == 0:
+                table.drop("segment_ops", "segment_loops")
+            table.add(segment_ops=ops, segment_loops=int(loops))
+
+    def _fill_rules(self, table: _Columns) -> None:
+        numbers = {action: number for number, action in enumerate(self.actions)}
+        table.start("rule_entries", len(self.entries))
+        for rule in self.rules:
+            table.add(
+                rule_entries=self._cube(self._literals(rule.condition)),
+                rule_action=numbers[rule.action],
+            )
+        for name in ("rule_outcomes", "outcome_effects", "effect_changes"):
+            table.start(name, 0)
+        table.start("effect_entries", len(self.entries))
+        outcomes = effects = changes = 0
+        for rule, distribution in zip(self.rules, self.rule_distribution, strict=True):
+            slots = self.distributions[distribution].slots
+            for slot, outcome, ground_effects in zip(
+                slots, rule.rule.outcomes, rule.effects, strict=True
+            ):
+                for effect in ground_effects:
+                    for word, (delete, add) in self._changes(effect.delete, effect.add).items():
+                        table.add(change_word=word, change_delete=delete, change_add=add)
+                        changes += 1
+                    end = self._cube(self._literals(effect.condition))
+                    table.add(effect_entries=end, effect_changes=changes)
+                    effects += 1
+                table.add(
+                    outcome_slot=slot, outcome_noise=int(outcome.is_noise), outcome_effects=effects
+                )
+                outcomes += 1
+            table.add(rule_outcomes=outcomes)
+
+    def _changes(
+        self, delete: tuple[GroundAtom, ...], add: tuple[GroundAtom, ...]
+    ) -> dict[int, tuple[int, int]]:
+        """By word: the bits to delete and to add."""
+        found: dict[int, tuple[int, int]] = {}
+        for atoms, position in ((delete, 0), (add, 1)):
+            for atom in atoms:
+                word, bit = divmod(self._fact_bits()[atom], WORD)
+                masks = list(found.get(word, (0, 0)))
+                masks[position] |= 1 << bit
+                found[word] = (masks[0], masks[1])
+        return found
+
+
+_TYPES: dict[str, type[np.generic]] = {
+    "op_kind": np.uint8, "segment_loops": np.uint8, "outcome_noise": np.uint8,
+    "op_bit": np.uint64, "change_delete": np.uint64, "change_add": np.uint64,
+    "reward_value": np.float64,
+}  # fmt: skip
+
+
+class _Columns:
+    """Tables as lists, on their way to arrays."""
+
+    def __init__(self) -> None:
+        names = set(Tables.__dataclass_fields__) - {
+            "words", "extended_words", "entry_word", "entry_mask", "entry_value", "goal_entries",
+        }  # fmt: skip
+        self._lists: dict[str, list[float]] = {name: [] for name in sorted(names)}
+
+    def start(self, name: str, offset: int) -> None:
+        """Begin a table of offsets."""
+        self._lists[name].append(offset)
+
+    def add(self, **values: float) -> None:
+        """Append a value to each of some tables."""
+        for name, value in values.items():
+            self._lists[name].append(value)
+
+    def last(self, name: str) -> float | None:
+        """The last value of a table; None if it is empty."""
+        return self._lists[name][-1] if self._lists[name] else None
+
+    def drop(self, *names: str) -> None:
+        """Take the last value of each of some tables away."""
+        for name in names:
+            self._lists[name].pop()
+
+    def arrays(self) -> dict[str, Any]:
+        """The tables as arrays of their types."""
+        return {
+            name: np.array(values, _TYPES.get(name, np.int32))
+            for name, values in self._lists.items()
+        }

@@ -1,0 +1,1 @@
+"""Markov decision processes as sparse arrays: their form, exploration, and checks."""
