@@ -6,6 +6,7 @@ Solvers live in packages of their own and are found by the entry points of the g
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
@@ -95,9 +96,16 @@ class Solution:
 
     @property
     def value(self) -> float:
-        """The value of the initial state: the middle of its bounds."""
+        """The value of the initial state: the middle of its bounds.
+
+        Where nothing but rounding separates the bounds, the shortest decimal near the middle.
+        """
         low, high = float(self.lower[self.initial]), float(self.upper[self.initial])
-        return low if low == high else (low + high) / 2
+        if low == high or not math.isfinite(high - low):
+            return low if low == high else (low + high) / 2
+        middle = (low + high) / 2
+        short = float(f"{middle:.12g}")
+        return short if low <= short <= high else middle
 
 
 class Solver(Protocol):
@@ -129,6 +137,18 @@ class UnknownSolverError(MenidError):
     """No installed package offers a solver of that name."""
 
     exit_code = 2
+
+
+class UnsupportedError(MenidError):
+    """A solver does not handle an objective, or an MDP of that kind."""
+
+    exit_code = 4
+
+
+class MissingDependencyError(MenidError):
+    """A solver needs a package that is not installed."""
+
+    exit_code = 5
 
 
 def solver_entry_points() -> dict[str, EntryPoint]:

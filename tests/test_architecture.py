@@ -25,7 +25,18 @@ ALLOWED = {
     "compiled": set(),
     "mdp": {"source", "errors", "model", "grounding", "compiled"},
     "solving": {"source", "errors", "model", "grounding", "mdp"},
-    "cli": {"source", "errors", "resources", "model", "language", "grounding"},
+    "exchange": {"source", "errors", "model", "grounding", "mdp"},
+    "cli": {
+        "source",
+        "errors",
+        "resources",
+        "model",
+        "language",
+        "grounding",
+        "mdp",
+        "solving",
+        "exchange",
+    },
 }
 # Which packages from elsewhere are imported in one place only.
 ONLY_IN = {

@@ -39,6 +39,28 @@ def json_option(function: _Command) -> _Command:
     return click.option("--json", "as_json", is_flag=True, help="Print JSON.")(function)
 
 
+def _settings(
+    _context: click.Context, _parameter: click.Parameter, values: tuple[str, ...]
+) -> dict[str, float]:
+    found = {}
+    for text in values:
+        name, _, number = text.partition("=")
+        try:
+            found[name.strip()] = float(number)
+        except ValueError:
+            raise click.BadParameter(f"`{text}` is not of the form NAME=NUMBER") from None
+    return found
+
+
+def setting_option(function: _Command) -> _Command:
+    """The option --set, any number of times; the command gets ``settings``."""
+    option = click.option(
+        "--set", "settings", multiple=True, metavar="NAME=NUMBER", callback=_settings,
+        help="Set a param of the domain anew; may be given more than once.",
+    )  # fmt: skip
+    return option(function)
+
+
 def output_option(function: _Command) -> _Command:
     """The option -o."""
     path = click.Path(dir_okay=False, path_type=Path)

@@ -17,6 +17,7 @@ from menid_plan.errors import InputError, MenidError
 _COMMANDS = {
     "check": "Report every error in domain and problem files.",
     "explain": "Show which actions apply in a state, and why or why not.",
+    "ground": "Count states and transitions; write the explicit model.",
     "fmt": "Bring files into the canonical layout.",
     "init": "Write a commented domain and problem to start from.",
     "show": "Show what a file declares, each rule as a table.",

@@ -64,7 +64,8 @@ class Tables:
     so many bits match, 2: at least so many), ``op_number``, ``op_entries`` (offsets), ``op_word``,
     ``op_bit``. Segments of it: ``segment_ops`` (offsets), ``segment_loops`` uint8 (repeat until nothing
     changes). Rules: ``rule_entries``, ``rule_outcomes`` (offsets), ``rule_action``. Outcomes:
-    ``outcome_slot``, ``outcome_noise`` uint8, ``outcome_effects`` (offsets). Effects:
+    ``outcome_slot``, ``outcome_noise`` uint8, ``outcome_delete`` and ``outcome_add`` (uint64[., W],
+    what it does unconditionally), ``outcome_effects`` (offsets, of the others). Conditional effects:
     ``effect_entries``, ``effect_changes`` (offsets). Changes: ``change_word``, ``change_delete``,
     ``change_add``. Rewards of states: ``reward_entries`` (offsets), ``reward_value`` float64. The
     cube of the goal: ``goal_entries`` (two offsets; equal to -1 without a goal).
@@ -87,6 +88,8 @@ class Tables:
     rule_action: NDArray[np.int32]
     outcome_slot: NDArray[np.int32]
     outcome_noise: NDArray[np.uint8]
+    outcome_delete: NDArray[np.uint64]
+    outcome_add: NDArray[np.uint64]
     outcome_effects: NDArray[np.int32]
     effect_entries: NDArray[np.int32]
     effect_changes: NDArray[np.int32]
@@ -227,6 +230,7 @@ class _Builder:
             if node.kind == "fact" and node.atom is not None
         }
         self.entries: list[tuple[int, int, int]] = []
+        self.outcome_masks: list[NDArray[np.uint64]] = []
 
     def _fact_bits(self) -> dict[GroundAtom, int]:
         if not hasattr(self, "_by_fact"):
@@ -325,6 +329,7 @@ class _Builder:
         goal_entries = [-1, -1]
         if goal is not None:
             goal_entries = [begin, self._cube(self._literals(goal))]
+        outcome_masks = np.array(self.outcome_masks, np.uint64).reshape(-1, 2, self.words)
         words, masks, values = zip(*self.entries, strict=True) if self.entries else ((), (), ())
         return Tables(
             words=self.words,
@@ -333,6 +338,8 @@ class _Builder:
             entry_mask=np.array(masks, np.uint64),
             entry_value=np.array(values, np.uint64),
             goal_entries=np.array(goal_entries, np.int32),
+            outcome_delete=np.ascontiguousarray(outcome_masks[:, 0]),
+            outcome_add=np.ascontiguousarray(outcome_masks[:, 1]),
             **table.arrays(),
         )
 
@@ -378,7 +385,15 @@ class _Builder:
             for slot, outcome, ground_effects in zip(
                 slots, rule.rule.outcomes, rule.effects, strict=True
             ):
+                always = [effect for effect in ground_effects if effect.condition == TRUE]
+                masks = np.zeros((2, self.words), np.uint64)
+                for effect in always:
+                    for word, bits in self._changes(effect.delete, effect.add).items():
+                        masks[:, word] |= np.array(bits, np.uint64)
+                self.outcome_masks.append(masks)
                 for effect in ground_effects:
+                    if effect.condition == TRUE:
+                        continue
                     for word, (delete, add) in self._changes(effect.delete, effect.add).items():
                         table.add(change_word=word, change_delete=delete, change_add=add)
                         changes += 1
@@ -418,6 +433,7 @@ class _Columns:
     def __init__(self) -> None:
         names = set(Tables.__dataclass_fields__) - {
             "words", "extended_words", "entry_word", "entry_mask", "entry_value", "goal_entries",
+            "outcome_delete", "outcome_add",
         }  # fmt: skip
         self._lists: dict[str, list[float]] = {name: [] for name in sorted(names)}
 

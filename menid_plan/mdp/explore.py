@@ -139,8 +139,14 @@ class _Search:
                 raise self._conflict()
             if reason == kernel.UNKNOWN:
                 raise self._unknown()
+            if reason == kernel.LIMIT:
+                raise LimitError(
+                    f"more than {self.max_states} states can be reached, the limit; so far "
+                    f"{int(self.counts[0])} were expanded, with {int(self.counts[3])} transitions"
+                )
             if reason == kernel.STATES_FULL:
-                self._grow_states()
+                self.words, self.goal = _grown(self.words), _grown(self.goal)
+                self.state_row, self.reward = _grown(self.state_row), _grown(self.reward)
             elif reason == kernel.TABLE_FULL:
                 self.table = np.full(2 * len(self.table), -1, np.int32)
                 kernel.rehash(self.table, self.words, int(self.counts[1]))
@@ -158,22 +164,13 @@ class _Search:
             t.words, t.extended_words, t.entry_word, t.entry_mask, t.entry_value, t.op_kind,
             t.op_number, t.op_entries, t.op_word, t.op_bit, t.segment_ops, t.segment_loops,
             t.rule_entries, t.rule_outcomes, t.rule_action, t.outcome_slot, t.outcome_noise,
+            t.outcome_delete, t.outcome_add,
             t.outcome_effects, t.effect_entries, t.effect_changes, t.change_word, t.change_delete,
             t.change_add, t.reward_entries, t.reward_value, t.goal_entries,
-            self.happens, self.to_sink,
+            self.happens, self.to_sink, self.max_states,
             self.counts, self.table, self.words, self.state_row, self.goal, self.reward,
             self.row_rule, self.row_transition, self.next_state, self.slot, _BATCH, self.clash,
         )  # fmt: skip
-
-    def _grow_states(self) -> None:
-        found = int(self.counts[1])
-        if found >= self.max_states:
-            raise LimitError(
-                f"more than {self.max_states} states can be reached, the limit; so far "
-                f"{int(self.counts[0])} were expanded, with {int(self.counts[3])} transitions"
-            )
-        self.words, self.goal = _grown(self.words), _grown(self.goal)
-        self.state_row, self.reward = _grown(self.state_row), _grown(self.reward)
 
     def _rule_text(self, number: int) -> str:
         rule = self.problem.rules[number]

@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from menid_plan.compiled import compiled
+from menid_plan.compiled import compiled, inlined
 
 # Why the kernel came back.
-DONE, BATCH, STATES_FULL, ROWS_FULL, TRANSITIONS_FULL, TABLE_FULL, CONFLICT, UNKNOWN = range(8)
+DONE, BATCH, STATES_FULL, ROWS_FULL, TRANSITIONS_FULL, TABLE_FULL, CONFLICT, UNKNOWN, LIMIT = range(
+    9
+)
 
 # What may happen with a slot: its outcome never happens, happens, or nobody knows.
 NEVER, HAPPENS, MISSING = 0, 1, 2
@@ -17,7 +19,7 @@ NEVER, HAPPENS, MISSING = 0, 1, 2
 SINK_STATE = -1
 
 
-@compiled
+@inlined
 def matches(extended: Any, begin: int, end: int, word: Any, mask: Any, value: Any) -> bool:
     """Whether an extended state is in the cube of some entries."""
     for entry in range(begin, end):  # noqa: SIM110 - Numba has no generators
@@ -67,7 +69,7 @@ def extend(
             again &= segment_loops[segment] != 0
 
 
-@compiled
+@inlined
 def hash_words(words: Any, count: int) -> Any:
     """A well-mixed hash of some words (the finaliser of SplitMix64, Steele et al. 2014)."""
     h = np.uint64(0x9E3779B97F4A7C15)
@@ -79,7 +81,7 @@ def hash_words(words: Any, count: int) -> Any:
     return h
 
 
-@compiled
+@inlined
 def find_or_add(table: Any, states: Any, found: int, key: Any, words: int) -> int:
     """The number of a state; ``found``, and the state added under it, if it is new."""
     size = np.uint64(len(table) - 1)
@@ -119,10 +121,11 @@ def explore(
     words: int, extended_words: int, word: Any, mask: Any, value: Any, op_kind: Any,
     op_number: Any, op_entries: Any, op_word: Any, op_bit: Any, segment_ops: Any,
     segment_loops: Any, rule_entries: Any, rule_outcomes: Any, rule_action: Any,
-    outcome_slot: Any, outcome_noise: Any, outcome_effects: Any, effect_entries: Any,
+    outcome_slot: Any, outcome_noise: Any, outcome_delete: Any, outcome_add: Any,
+    outcome_effects: Any, effect_entries: Any,
     effect_changes: Any, change_word: Any, change_delete: Any, change_add: Any,
     reward_entries: Any, reward_value: Any, goal_entries: Any,
-    slot_state: Any, noise_to_sink: bool,
+    slot_state: Any, noise_to_sink: bool, max_states: int,
     # What has been found, and how far: counts = [next to expand, states, rows, transitions].
     counts: Any, table: Any, states: Any, state_row: Any, goal: Any, state_reward: Any,
     row_rule: Any, row_transition: Any, next_state: Any, slot: Any, batch: int, clash: Any,
@@ -137,8 +140,11 @@ def explore(
     add = np.zeros(words, np.uint64)
     state, found, rows, transitions = counts[0], counts[1], counts[2], counts[3]
     last = state + batch
-    rules = len(rule_action)
+    rules, outcomes = len(rule_action), len(outcome_slot)
     while state < found:
+        if found > max_states:
+            counts[:] = (state, found, rows, transitions)
+            return LIMIT
         if state == last:
             counts[:] = (state, found, rows, transitions)
             return BATCH
@@ -157,6 +163,18 @@ def explore(
         goal[state] = goal_entries[0] >= 0 and matches(
             extended, goal_entries[0], goal_entries[1], word, mask, value
         )
+        if found + outcomes > len(states):
+            counts[:] = (state, found, first_row, first_transition)
+            return STATES_FULL
+        if 2 * (found + outcomes) > len(table):
+            counts[:] = (state, found, first_row, first_transition)
+            return TABLE_FULL
+        if rows + rules > len(row_rule):
+            counts[:] = (state, found, first_row, first_transition)
+            return ROWS_FULL
+        if transitions + outcomes > len(next_state):
+            counts[:] = (state, found, first_row, first_transition)
+            return TRANSITIONS_FULL
         previous = -1
         for rule in range(rules if not goal[state] else 0):
             if not matches(extended, rule_entries[rule], rule_entries[rule + 1], word, mask, value):
@@ -166,14 +184,7 @@ def explore(
                 counts[:] = (state, found, first_row, first_transition)
                 return CONFLICT
             previous = rule
-            if rows == len(row_rule):
-                counts[:] = (state, found, first_row, first_transition)
-                return ROWS_FULL
-            begin, end = rule_outcomes[rule], rule_outcomes[rule + 1]
-            if transitions + end - begin > len(next_state):
-                counts[:] = (state, found, first_row, first_transition)
-                return TRANSITIONS_FULL
-            for outcome in range(begin, end):
+            for outcome in range(rule_outcomes[rule], rule_outcomes[rule + 1]):
                 known = slot_state[outcome_slot[outcome]]
                 if known == 0:
                     continue
@@ -181,12 +192,12 @@ def explore(
                     clash[:] = (state, rule, rule)
                     counts[:] = (state, found, first_row, first_transition)
                     return UNKNOWN
-                if outcome_noise[outcome] and noise_to_sink:
-                    number = -1
+                if outcome_noise[outcome]:
+                    number = SINK_STATE if noise_to_sink else state
                 else:
                     for i in range(words):
-                        delete[i] = 0
-                        add[i] = 0
+                        delete[i] = outcome_delete[outcome, i]
+                        add[i] = outcome_add[outcome, i]
                     for effect in range(outcome_effects[outcome], outcome_effects[outcome + 1]):
                         if matches(
                             extended, effect_entries[effect], effect_entries[effect + 1], word,
@@ -195,17 +206,15 @@ def explore(
                             for change in range(effect_changes[effect], effect_changes[effect + 1]):
                                 delete[change_word[change]] |= change_delete[change]
                                 add[change_word[change]] |= change_add[change]
+                    moved = False
                     for i in range(words):
                         successor[i] = (extended[i] & ~delete[i]) | add[i]
-                    if found == len(states):
-                        counts[:] = (state, found, first_row, first_transition)
-                        return STATES_FULL
-                    if 2 * found >= len(table):
-                        counts[:] = (state, found, first_row, first_transition)
-                        return TABLE_FULL
-                    number = find_or_add(table, states, found, successor, words)
-                    if number == found:
-                        found += 1
+                        moved |= successor[i] != extended[i]
+                    number = state
+                    if moved:
+                        number = find_or_add(table, states, found, successor, words)
+                        if number == found:
+                            found += 1
                 next_state[transitions] = number
                 slot[transitions] = outcome_slot[outcome]
                 transitions += 1
