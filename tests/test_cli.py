@@ -376,7 +376,7 @@ def test_init_refuses_what_is_no_name(name: str, menid: Menid, tmp_path: Path) -
 
 def test_help_of_every_command(menid: Menid) -> None:
     listing = menid("--help").output
-    for name in ("check", "explain", "fmt", "init", "show"):
+    for name in ("check", "explain", "fmt", "ground", "init", "show"):
         assert name in listing
         assert menid(name, "--help").exit_code == 0
     assert menid("--version").output.startswith("menid, version ")

@@ -1,0 +1,112 @@
+"""`menid ground`: counts, limits, and files that other tools read."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from click.testing import Result
+
+from conftest import ROOT
+
+Menid = Callable[..., Result]
+TRIANGLE = str(ROOT / "domains" / "tireworld" / "triangle-1.menid")
+
+
+def test_counts(menid: Menid) -> None:
+    result = menid("ground", TRIANGLE, "--json")
+    assert result.exit_code == 0
+    counts = json.loads(result.output)
+    # 80 states, by Little and Thiebaux's p01; 2 of them are dead ends.
+    assert (counts["states"], counts["dead_ends"]) == (80, 2)
+    assert set(counts["seconds"]) == {"startup", "ground", "explore"}
+    text = menid("ground", TRIANGLE).output
+    assert "states       80\n" in text
+    assert "dead ends    2\n" in text
+
+
+def test_only_what_happens_is_followed(menid: Menid, tmp_path: Path) -> None:
+    (tmp_path / "a.menid").write_text(
+        "domain d predicate p predicate q environment r: target environment s: test param x = 1"
+        " action a { rule one { outcomes r s { i: (x) 1 p j: (1 - x) 0 q } } } problem t for d"
+    )
+    assert json.loads(menid("ground", "a.menid", "--json").output)["states"] == 2
+    set_ = json.loads(menid("ground", "a.menid", "--json", "--set", "x=0.5").output)
+    assert set_["states"] == 4
+    other = menid("ground", "a.menid", "--json", "--set", "x=0.5", "--env", "s")
+    assert json.loads(other.output)["states"] == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (
+            ["--env", "nowhere"],
+            3,
+            "there is no environment `nowhere`; the domain has: world, model",
+        ),
+        (["--set", "x=1"], 3, "there is no param `x`"),
+        (["--set", "x"], 2, "`x` is not of the form NAME=NUMBER"),
+        (["--max-states", "10"], 6, "more than 10 states can be reached"),
+        (["--max-states", "0"], 2, ""),
+    ],
+)
+def test_bad_input(arguments: list[str], code: int, message: str, menid: Menid) -> None:
+    result = menid("ground", TRIANGLE, *arguments)
+    assert result.exit_code == code
+    assert message in result.output
+
+
+def test_a_param_that_spoils_a_column(menid: Menid, tmp_path: Path) -> None:
+    (tmp_path / "a.menid").write_text(
+        "domain d predicate p param x = 1 action a { rule one { outcomes { i: (x) p } } }"
+        " problem t for d"
+    )
+    result = menid("ground", "a.menid", "--set", "x=0.5")
+    assert result.exit_code == 3
+    assert "rule a.one, environment `target`: sums to 0.5, not 1" in result.output
+
+
+def test_prism_files(menid: Menid, tmp_path: Path) -> None:
+    (tmp_path / "a.menid").write_text(
+        "domain d predicate p predicate q reward 2 when q action a cost 1 { rule one { when not p"
+        " outcomes { i: 0.25 p reward 4 j: 0.5 q noise: 0.25 } } } problem t for d goal p reward 8"
+    )
+    result = menid("ground", "a.menid", "-o", "out")
+    assert result.exit_code == 0
+    files = {s: (tmp_path / f"out.{s}").read_text().splitlines() for s in ("tra", "sta", "lab")}
+    # State 0: nothing; 1: p, the goal; 2: q; 3: p and q, the goal.
+    assert files["sta"][:3] == ["(p,q)", "0:(false,false)", "1:(true,false)"]
+    assert files["sta"][3:] == ["2:(false,true)", "3:(true,true)"]
+    assert files["tra"] == [
+        "4 4 7",
+        "0 0 0 0.25 a",
+        "0 0 1 0.25 a",
+        "0 0 2 0.5 a",
+        "1 0 1 1",
+        "2 0 2 0.75 a",
+        "2 0 3 0.25 a",
+        "3 0 3 1",
+    ]
+    assert files["lab"] == [
+        '0="init" 1="deadlock" 2="goal" 3="dead_end"',
+        "0: 0",
+        "1: 2",
+        "3: 2",
+    ]
+    assert (tmp_path / "out.srew").read_text().splitlines() == ["4 1", "2 2.0"]
+    # On average a step pays 0.25 (4 + 8) - 1 = 2 beyond the reward of its state.
+    rewards = (tmp_path / "out.trew").read_text().splitlines()
+    assert rewards[0] == "4 4 5"
+    assert rewards[1:4] == ["0 0 0 2.0", "0 0 1 2.0", "0 0 2 2.0"]
+
+
+def test_storm_reads_the_drn_file(menid: Menid, tmp_path: Path) -> None:
+    stormpy = pytest.importorskip("stormpy", reason="the extra `storm` is not installed")
+    assert menid("ground", TRIANGLE, "-o", "model.drn").exit_code == 0
+    model = stormpy.build_model_from_drn(str(tmp_path / "model.drn"))
+    assert model.nr_states == 80
+    (formula,) = stormpy.parse_properties('Pmax=? [F "goal"]')
+    assert stormpy.model_checking(model, formula).get_value(0) == pytest.approx(1)
