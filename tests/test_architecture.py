@@ -25,6 +25,7 @@ ALLOWED = {
     "compiled": set(),
     "mdp": {"source", "errors", "model", "grounding", "compiled"},
     "solving": {"source", "errors", "model", "grounding", "mdp"},
+    "planning": {"model", "grounding", "mdp", "solving"},
     "exchange": {"source", "errors", "model", "grounding", "mdp"},
     "cli": {
         "source",
@@ -36,6 +37,7 @@ ALLOWED = {
         "mdp",
         "solving",
         "exchange",
+        "planning",
     },
 }
 # Which packages from elsewhere are imported in one place only.

@@ -20,6 +20,7 @@ _COMMANDS = {
     "ground": "Count states and transitions; write the explicit model.",
     "fmt": "Bring files into the canonical layout.",
     "init": "Write a commented domain and problem to start from.",
+    "solve": "Find the best policy, with bounds on its value.",
     "show": "Show what a file declares, each rule as a table.",
 }
 

@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from menid_plan.errors import LimitError, MeaningError
-from menid_plan.grounding.ground import GroundProblem
+from menid_plan.grounding.ground import GroundProblem, ground
 from menid_plan.grounding.semantics import Noise
 from menid_plan.grounding.state import SINK, NextState, binding_text, state_text
 from menid_plan.mdp import kernel
 from menid_plan.mdp.model import MDP, Bools, Floats, Ints, SmallInts
+from menid_plan.model.domain import Domain, Problem
 
 MAX_STATES = 50_000_000
 _BATCH = 100_000
@@ -102,6 +103,11 @@ def explore(
     search = _Search(problem, happens, noise == "sink", max_states)
     search.run(progress)
     return search.structure(time.perf_counter() - start)
+
+
+def warm() -> None:
+    """Load the compiled search, so that it is not part of what the first problem takes."""
+    explore(ground(Domain("none"), Problem("none", "none")))
 
 
 class _Search:
