@@ -346,6 +346,17 @@ def test_explain_stops_at_the_work_limit(menid: Menid, files: Path) -> None:
     assert "the work limit" in result.output
 
 
+def test_explain_of_too_many_instances_asks_for_one(menid: Menid, files: Path) -> None:
+    (files / "a.menid").write_text(
+        "domain d predicate p(object) action a(x, y: object) { rule r { when p(x) outcomes {"
+        " o: 1 not p(x) } } } problem t for d object o1..o200: object init p(o1)"
+    )
+    result = menid("explain", "a.menid")
+    assert result.exit_code == 6
+    assert "more than 10000 action instances" in result.output
+    assert menid("explain", "a.menid", "a(o1, o2)").exit_code == 0
+
+
 # -------------------------------------------------------------------------------------------- init
 
 

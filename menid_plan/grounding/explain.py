@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import chain, islice
 
+from menid_plan.errors import LimitError
 from menid_plan.grounding.reasons import failed_conjuncts, substituted
 from menid_plan.grounding.semantics import Semantics
 from menid_plan.grounding.state import (
@@ -23,6 +25,9 @@ from menid_plan.model.rules import Reference, Rule
 from menid_plan.model.text import formula_text, variables_text
 
 CANDIDATES_SHOWN = 3
+
+MAX_INSTANCES = 10_000
+"""How many action instances are explained at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,11 +177,18 @@ def explain(
 ) -> Explanation:
     """Explain a state: of each action instance, or of those given, which rule covers and why not.
 
-    Raises MeaningError if a given one is no instance of an action of the domain.
+    Raises MeaningError if a given one is no instance of an action of the domain, LimitError if there
+    are more than MAX_INSTANCES and none is given.
     """
     if actions is None:
         instances = (semantics.instances(action) for action in semantics.domain.actions)
-        actions = [ground for grounds in instances for ground in grounds]
+        actions = list(islice(chain.from_iterable(instances), MAX_INSTANCES + 1))
+        if len(actions) > MAX_INSTANCES:
+            raise LimitError(
+                f"there are more than {MAX_INSTANCES} action instances, the limit of what is "
+                "explained at once; ask for one of them, such as "
+                f"`{actions[0]}`"
+            )
     return Explanation(
         state=tuple(sorted(state)),
         derived=tuple(sorted(semantics.complete(state) - state)),
