@@ -392,3 +392,81 @@ def test_help_of_every_command(menid: Menid) -> None:
         assert menid(name, "--help").exit_code == 0
     assert menid("--version").output.startswith("menid, version ")
     assert menid("nonsense").exit_code == 2
+
+
+# ------------------------------------------------------------------------- what once went wrong
+
+
+def test_params_of_a_problem_and_a_broken_table(menid: Menid, tmp_path: Path) -> None:
+    (tmp_path / "domain.menid").write_text(
+        "domain d predicate p param a = 1"
+        " action x { rule r { outcomes { l: 0.5 p  m: s nothing } } }"
+    )
+    (tmp_path / "p.menid").write_text("problem z for d param a = 2")
+    for command in ("check", "fmt", "show", "explain"):
+        result = menid(command, "p.menid")
+        assert result.exit_code == 3
+        assert "unknown param `s`" in result.output
+        assert "M424" not in result.output
+
+
+def test_the_domain_that_is_given_is_the_one_that_is_used(menid: Menid, files: Path) -> None:
+    (files / "other").mkdir()
+    (files / "other" / "domain.menid").write_text("domain other")
+    result = menid("explain", "other/domain.menid", "problem.menid")
+    assert result.exit_code == 3
+    assert "the problem is for `hdd`, the domain is `other`" in result.output
+
+
+def test_problems_use_the_domain_of_their_own_folder(menid: Menid, tmp_path: Path) -> None:
+    for folder, predicate in (("v1", "p"), ("v2", "q")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "domain.menid").write_text(f"domain d predicate {predicate}")
+        (tmp_path / folder / "t.menid").write_text(f"problem t for d init {predicate}")
+    both = ["v1/domain.menid", "v1/t.menid", "v2/domain.menid", "v2/t.menid"]
+    assert menid("check", *both).exit_code == 0
+    assert menid("check", "v1/t.menid", "v2/t.menid").exit_code == 0
+
+
+@pytest.mark.parametrize("total", ["0.999999", "1.000001", "0.9999989", "1.0000011"])
+def test_a_column_sums_to_1_within_a_millionth(total: str, menid: Menid) -> None:
+    rest = f"{float(total) - 0.5:.7f}"
+    text = (
+        f"domain d predicate p action a {{ rule r {{ outcomes {{ o: 0.5 p n: {rest} nothing }} }} }}"
+        " problem t for d"
+    )
+    good = total in ("0.999999", "1.000001")
+    assert menid("check", "-", input=text).exit_code == (0 if good else 3)
+    if good:
+        assert menid("explain", "-", "a", input=text).exit_code == 0
+
+
+def test_output_is_written_in_one_step(
+    menid: Menid, files: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (files / "old.txt").write_text("old")
+
+    def no_replace(source: str, target: str) -> None:
+        raise OSError(28, "No space left on device", target)
+
+    monkeypatch.setattr(os, "replace", no_replace)
+    assert menid("show", "both.menid", "-o", "old.txt").exit_code == 2
+    assert (files / "old.txt").read_text() == "old"
+
+
+def test_an_error_in_one_row_leaves_quantified_effects_of_others_alone(menid: Menid) -> None:
+    text = (
+        "domain d predicate p predicate q(object) action x { rule r { outcomes {"
+        " a: 0.5 forall y: object where q(y) { p }  b: 0.5 p and p } } }"
+    )
+    result = menid("check", "-", input=text)
+    assert result.output.count("error[") == 1
+    assert "effects are separated by commas" in result.output
+
+
+@pytest.mark.parametrize("word", ["goal", "init", "action", "type", "rule"])
+def test_a_reserved_word_as_the_name_of_a_rule(word: str, menid: Menid) -> None:
+    text = f"domain d predicate p action a {{ rule {word} {{ outcomes {{ o: 1 p }} }} }}"
+    result = menid("check", "-", input=text)
+    assert result.output.count("error[") == 1
+    assert f"error[M102]: `{word}` is a reserved word" in result.output

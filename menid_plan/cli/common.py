@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+import os
+import stat
 import sys
+import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -81,7 +84,7 @@ def checked(paths: Iterable[str]) -> list[CheckResult]:
     Raises InputError if there is an error in them, click.UsageError if they hold two domains or two
     problems.
     """
-    results = check_files(list(paths))
+    results = check_files(list(paths), together=True)
     diagnostics = [d for result in results for d in result.diagnostics]
     if any(d.is_error for d in diagnostics):
         raise InputError(diagnostics)
@@ -128,8 +131,34 @@ def table(console: Console, gap: int = 1) -> Table:
 def opened(output: Path | None) -> Iterator[TextIO]:
     """The stream for results: a file, or standard output. A file appears only when it is whole."""
     if output is None:
-        yield sys.stdout
+        yield sys.stdout or io.StringIO()  # it is None where the caller closed it
         return
     buffer = io.StringIO()
     yield buffer
-    output.write_text(buffer.getvalue(), encoding="utf-8")
+    replace_file(output, buffer.getvalue().encode("utf-8"))
+
+
+def replace_file(path: Path, data: bytes) -> None:
+    """Write a file in one step: a reader, or a crash, sees the old content or the new."""
+    target = path.resolve()  # a link stays a link
+    if target.exists() and not target.is_file():  # a device or a pipe can't be replaced
+        target.write_bytes(data)
+        return
+    mode = stat.S_IMODE(target.stat().st_mode) if target.exists() else 0o666 & ~_umask()
+    handle, name = tempfile.mkstemp(prefix=".menid.", dir=target.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(name, mode)
+        os.replace(name, target)
+    except BaseException:
+        os.unlink(name)
+        raise
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import difflib
-import os
-import stat
-import tempfile
 from pathlib import Path
 
 import click
 
-from menid_plan.cli.common import existing_file, report_diagnostics
+from menid_plan.cli.common import existing_file, replace_file, report_diagnostics
+from menid_plan.errors import LimitError
 from menid_plan.language.files import MAX_BYTES, check_files, load
 from menid_plan.language.layout import layout
 
@@ -41,6 +39,8 @@ def command(
             failed = True
             continue
         after = _formatted(data)
+        if len(after) > MAX_BYTES:
+            raise LimitError(f"{path}: formatted it would be larger than {MAX_BYTES // 2**20} MiB")
         changed = changed or after != data
         if diff:
             click.echo(_diff(path, data, after), nl=False)
@@ -48,7 +48,7 @@ def command(
             click.echo(after, nl=False)
         elif after != data:
             if not check:
-                _replace(Path(path), after)
+                replace_file(Path(path), after)
             if not quiet:
                 click.echo(f"{'would change' if check else 'formatted'} {path}", err=True)
     if failed:
@@ -73,20 +73,3 @@ def _diff(path: str, before: bytes, after: bytes) -> str:
         f"{path} (formatted)",
     )
     return "".join(line if line.endswith("\n") else f"{line}\n" for line in lines)
-
-
-def _replace(path: Path, data: bytes) -> None:
-    """Replace a file in one step: a reader, or a crash, sees the old content or the new."""
-    target = path.resolve()  # a link stays a link
-    mode = stat.S_IMODE(target.stat().st_mode)
-    handle, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(name, mode)
-        os.replace(name, target)
-    except BaseException:
-        os.unlink(name)
-        raise

@@ -89,6 +89,7 @@ class Formulas:
         self._derived: Recent[_Given, frozenset[GroundAtom]] = Recent()
         self._members = objects_by_type(domain, objects)
         self._ranges: dict[tuple[str, ...], tuple[str, ...]] = {}
+        self._sets: dict[tuple[str, ...], frozenset[str]] = {}
         self._task: str | None = None
         self._steps = 0
 
@@ -100,6 +101,12 @@ class Formulas:
             members = {name for t in types for name in self._members[t]}
             self._ranges[types] = tuple(name for name in self.objects if name in members)
         return self._ranges[types]
+
+    def is_of(self, name: str, types: tuple[str, ...]) -> bool:
+        """Whether an object is of any of these types."""
+        if types not in self._sets:
+            self._sets[types] = frozenset(self.range_of(types))
+        return name in self._sets[types]
 
     def bindings(self, variables: Sequence[TypedVariable]) -> Iterator[tuple[str, ...]]:
         """Every tuple of objects that the variables can name; the last variable changes fastest."""

@@ -29,7 +29,7 @@ from menid_plan.grounding.steps import Covering, Reward, RuleConflict, Transitio
 from menid_plan.model.domain import Domain, Problem, param_values
 from menid_plan.model.expressions import EvaluationError, Expression, evaluate
 from menid_plan.model.formulas import Formula, GroundAtom, TypedVariable
-from menid_plan.model.probabilities import TOLERANCE
+from menid_plan.model.probabilities import is_one
 from menid_plan.model.rules import (
     Action,
     ConditionalEffect,
@@ -161,7 +161,7 @@ class Semantics:
         if expected != given:
             raise MeaningError(f"`{ground}`: `{action.name}` has {expected} arguments, not {given}")
         for variable, name in zip(action.parameters, ground.arguments, strict=True):
-            if name not in self.formulas.range_of(variable.types):
+            if not self.formulas.is_of(name, variable.types):
                 types = " | ".join(variable.types)
                 raise MeaningError(f"`{ground}`: there is no object `{name}` of type {types}")
         return action
@@ -275,7 +275,7 @@ class Semantics:
             raise MeaningError(f"{where} has no probabilities in environment `{environment}`{per}")
         column = [self._value(cell, where) for cell in cells]
         total = math.fsum(column)
-        if min(column) < 0 or abs(total - 1) > TOLERANCE:
+        if min(column) < 0 or not is_one(total):
             raise MeaningError(
                 f"{where}: the probabilities in environment `{environment}` are "
                 f"{', '.join(map(str, column))}; they must be >= 0 and sum to 1"

@@ -21,6 +21,9 @@ from menid_plan.model.domain import (
 )
 from menid_plan.source import Diagnostic, SourceFile, in_order
 
+# Past this many diagnostics of a text the rest is not listed.
+MAX_DIAGNOSTICS = 1000
+
 
 @dataclass(frozen=True, slots=True)
 class Known:
@@ -32,6 +35,7 @@ class Known:
     domain: Domain
     names: Names
     lost_names: frozenset[str] = frozenset()
+    is_sound: bool = True  # False if there are errors in its text
 
     @staticmethod
     def of(domain: Domain) -> Known:
@@ -77,14 +81,26 @@ def check_syntax(result: SyntaxResult, known: Known | None = None) -> CheckResul
     if tree.domain is not None:
         checker = DomainChecker(report, docs)
         domain = checker.domain(tree.domain)
-        known = Known(domain, checker.names, frozenset(result.lost_names))
+        sound = not result.diagnostics and not report.knows_errors
+        known = Known(domain, checker.names, frozenset(result.lost_names), sound)
     if tree.problem is not None and known is not None:
         names = known.names.for_problem()
-        problem = ProblemChecker(report, names, docs).problem(tree.problem, known.domain)
-    diagnostics = tuple(in_order([*result.diagnostics, *report.diagnostics]))
+        checks = ProblemChecker(report, names, docs, domain_is_sound=known.is_sound)
+        problem = checks.problem(tree.problem, known.domain)
+    diagnostics = _at_most(in_order([*result.diagnostics, *report.diagnostics]))
     if any(d.is_error for d in diagnostics):
         return CheckResult(None, None, diagnostics, known)
     return CheckResult(domain, problem, diagnostics, known)
+
+
+def _at_most(diagnostics: list[Diagnostic]) -> tuple[Diagnostic, ...]:
+    """The first MAX_DIAGNOSTICS, and that there are more."""
+    if len(diagnostics) <= MAX_DIAGNOSTICS:
+        return tuple(diagnostics)
+    message = f"more than {MAX_DIAGNOSTICS} errors: the rest is not listed"
+    last = diagnostics[MAX_DIAGNOSTICS]
+    errors = sorted(diagnostics, key=lambda d: not d.is_error)[:MAX_DIAGNOSTICS]
+    return (*in_order(errors), Diagnostic("error", "M106", message, last.span))
 
 
 def _reserved_names(result: SyntaxResult, report: Report) -> None:

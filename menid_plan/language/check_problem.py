@@ -25,8 +25,11 @@ from menid_plan.source import Span
 class ProblemChecker(FormulaChecker, Declarations):
     """Checks a problem against the names of its domain."""
 
-    def __init__(self, report: Report, names: Names, docs: Documentation) -> None:
+    def __init__(
+        self, report: Report, names: Names, docs: Documentation, *, domain_is_sound: bool
+    ) -> None:
         super().__init__(report, names)
+        self._domain_is_sound = domain_is_sound
         self.doc: Callable[[Token], str] = docs
         self.first_objects = {}
 
@@ -88,7 +91,8 @@ class ProblemChecker(FormulaChecker, Declarations):
         if nodes:
             before = len(self.report.diagnostics)
             self.names.params.update(param_values_of(self.report, expressions))
-            if not any(d.is_error for d in self.report.diagnostics[before:]):
+            new = self.report.diagnostics[before:]
+            if self._domain_is_sound and not any(d.is_error for d in new):
                 self._columns_again(nodes, domain)
         return tuple(params)
 

@@ -10,7 +10,7 @@ from menid_plan.language.check_formulas import FormulaChecker
 from menid_plan.language.names import Names, Scope, Types
 from menid_plan.language.report import Report, counted
 from menid_plan.language.syntax import Token
-from menid_plan.model.expressions import Expression, evaluate, params_in
+from menid_plan.model.expressions import ZERO, Expression, evaluate, params_in
 from menid_plan.model.formulas import TRUE, Atom
 from menid_plan.model.probabilities import TOLERANCE, fault
 from menid_plan.model.rules import (
@@ -226,9 +226,12 @@ class RuleChecker(FormulaChecker):
             cells = [o.cells[index] for o in outcomes if o.cells]
             place = node.environments[index] if node.environments else node.keyword
             name = f" of `{place.value}`" if node.environments else ""
-            self._check_sum(cells, f"the column{name}", place)
+            noise = outcomes[-1].cells
+            self._check_sum(cells, f"the column{name}", place, noise[index] if noise else ZERO)
 
-    def _check_sum(self, cells: list[Expression], what: str, place: Token) -> None:
+    def _check_sum(
+        self, cells: list[Expression], what: str, place: Token, noise: Expression = ZERO
+    ) -> None:
         values = cast("dict[str, float]", self.names.params)
         if any(values.get(name) is None for cell in cells for name in params_in(cell)):
             return
@@ -236,7 +239,8 @@ class RuleChecker(FormulaChecker):
         if reason is None or not reason.startswith("sums"):
             return  # what is wrong with a single cell is said of that cell
         rest = 1 - sum(evaluate(cell, values) for cell in cells)
-        hint = f"what no row describes is `noise: {round(rest, 9):g}`" if rest > 0 else None
+        missing = round(rest + evaluate(noise, values), 9)
+        hint = f"what no row describes is `noise: {missing:g}`" if rest > 0 else None
         self.report.error("M402", f"{what} {reason}", place, hint)
 
     # -------------------------------------------------------------------------------- effects

@@ -89,8 +89,9 @@ class Declarations:
         if last[1] < first[1]:
             self.report.error("M305", "a range ascends", item)
             first, last = last, first
-        if last[1] - first[1] >= MAX_RANGE:
-            self.report.error("M305", f"a range names at most {MAX_RANGE} objects", item)
+        if len(self.names.objects) + last[1] - first[1] >= MAX_RANGE:
+            message = f"ranges name at most {MAX_RANGE} objects in all"
+            self.report.error("M305", message, item)
             return []
         return [f"{first[0]}{number}" for number in range(first[1], last[1] + 1)]
 

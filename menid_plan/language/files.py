@@ -16,7 +16,7 @@ from menid_plan.model.domain import Domain, Problem
 from menid_plan.source import Diagnostic, SourceFile, Span
 
 # A file larger than this is refused before it is read whole.
-MAX_BYTES = 8 * 1024 * 1024
+MAX_BYTES = 4 * 1024 * 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,38 +56,44 @@ def _one_line_end(text: str) -> str:
 def load(path: str | Path) -> bytes:
     """The bytes of a file, of standard input for ``-``: at most one more than MAX_BYTES."""
     if str(path) == "-":
+        if sys.stdin is None:
+            return b""  # the caller closed it
         return sys.stdin.buffer.read(MAX_BYTES + 1)
     with open(path, "rb") as file:
         return file.read(MAX_BYTES + 1)
 
 
 def check_files(
-    paths: Iterable[str | Path], contents: Mapping[str, bytes] | None = None
+    paths: Iterable[str | Path],
+    contents: Mapping[str, bytes] | None = None,
+    *,
+    together: bool = False,
 ) -> list[CheckResult]:
     """Check files, each problem against its domain; one result for each path, in order.
 
     The domain of a problem that stands alone is looked for among the files, then beside it. If a
     domain found beside it has errors, they are reported with the problem's. ``contents`` has the
-    bytes of files that were read already.
+    bytes of files that were read already. With ``together`` a domain among the files is the one that
+    is meant, whatever its name.
     """
     contents = contents or {}
     texts = [
         (path, *decode(contents.get(str(path)) or load(path), shown_name(path))) for path in paths
     ]
     parsed = [(path, None if bad else parse(source), bad) for path, source, bad in texts]
-    known: dict[str, Known] = {}
+    known: dict[tuple[Path, str], Known] = {}
     results: dict[int, CheckResult] = {}
-    for index, (_, syntax, bad) in enumerate(parsed):
+    for index, (path, syntax, bad) in enumerate(parsed):
         if syntax is None:
             results[index] = CheckResult(None, None, tuple(bad))
         elif syntax.file.domain is not None or syntax.file.problem is None:
             results[index] = check_syntax(syntax)
             own = results[index].known
             if own is not None:
-                known.setdefault(own.domain.name, own)
+                known.setdefault((Path(path).parent, own.domain.name), own)
     for index, (path, syntax, _) in enumerate(parsed):
         if syntax is not None and index not in results:
-            results[index] = _check_problem(syntax, Path(path), known)
+            results[index] = _check_problem(syntax, Path(path), known, together)
     return [results[index] for index in range(len(parsed))]
 
 
@@ -96,20 +102,26 @@ def shown_name(path: str | Path) -> str:
     return "<stdin>" if str(path) == "-" else str(path)
 
 
-def _check_problem(syntax: SyntaxResult, path: Path, known: dict[str, Known]) -> CheckResult:
+def _check_problem(
+    syntax: SyntaxResult, path: Path, known: dict[tuple[Path, str], Known], together: bool
+) -> CheckResult:
     """Check a problem that stands alone in its file; ``known`` are the domains of other files."""
     assert syntax.file.problem is not None
     token = syntax.file.problem.domain
     beside: tuple[Diagnostic, ...] = ()
-    if token.value not in known and (found := find_domain(path, token.value)) is not None:
+    domain = known.get((path.parent, token.value))
+    if together and known:
+        domain = next(iter(known.values()))
+    elif domain is None and (found := find_domain(path, token.value)) is not None:
         source, bad = decode(load(found), str(found))
         result = CheckResult(None, None, tuple(bad)) if bad else check_syntax(parse(source))
         beside = tuple(d for d in result.diagnostics if d.is_error)
         if result.known is not None:
-            known[token.value] = result.known
-    # The only domain that was given must be the one that is meant, whatever its name.
-    only = next(iter(known.values())) if len(known) == 1 else None
-    domain = known.get(token.value, only)
+            domain = known[path.parent, token.value] = result.known
+    if domain is None:
+        named = [k for (_, name), k in known.items() if name == token.value]
+        # The only domain that was given must be the one that is meant, whatever its name.
+        domain = next(iter(named or (known.values() if len(known) == 1 else ())), None)
     result = check_syntax(syntax, domain)
     if domain is None and not beside:
         missing = Diagnostic(
@@ -135,11 +147,21 @@ def find_domain(problem: Path, name: str) -> Path | None:
         return None
     for candidate in [folder / "domain.menid", *others]:
         try:
-            if candidate != problem and candidate.is_file() and declares.search(load(candidate)):
+            if (
+                candidate != problem
+                and candidate.is_file()
+                and declares.search(_plain(load(candidate)))
+            ):
                 return candidate
         except OSError:
             continue
     return None
+
+
+def _plain(data: bytes) -> bytes:
+    """The bytes without a byte-order mark, comments and strange line ends."""
+    data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\r", b"\n")
+    return re.sub(rb"#[^\n]*", b"", data)
 
 
 def parse_text(text: str, domain: Domain | None = None, *, name: str = "<text>") -> Document:
@@ -148,7 +170,7 @@ def parse_text(text: str, domain: Domain | None = None, *, name: str = "<text>")
     A problem that stands alone needs its ``domain``. Raises InputError with all diagnostics if there
     is an error.
     """
-    source = SourceFile(name, _one_line_end(text))
+    source = SourceFile(name, _one_line_end(text.removeprefix("\ufeff")))
     syntax = parse(source)
     if syntax.file.problem is not None and syntax.file.domain is None and domain is None:
         result = check_syntax(syntax)
@@ -173,7 +195,7 @@ def read(path: str | Path, domain: Domain | str | Path | None = None) -> Documen
         if bad:
             raise InputError(bad)
         return _document(check_syntax(parse(source), Known.of(domain)))
-    results = check_files([path] if domain is None else [path, domain])
+    results = check_files([path] if domain is None else [path, domain], together=True)
     return _document(*results)
 
 

@@ -97,10 +97,10 @@ def _lark() -> Lark:
 
 def _cache_file() -> str | bool:
     """Where the parse table is kept between runs; False where no folder can be written."""
-    folder = user_cache_path("menid-plan")
     try:
+        folder = user_cache_path("menid-plan")
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
+    except (OSError, RuntimeError):  # no home is known, or nothing can be written there
         return False
     return str(folder / "menid.parser")
 

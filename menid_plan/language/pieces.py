@@ -46,6 +46,8 @@ def declarations(
 def _starts_declaration(token: Token, piece: list[Token], depth: int) -> bool:
     if len(piece) == 1 and piece[0].type in _NAMING:
         return False  # a reserved word in the place of a name
+    if piece and piece[-1].type == "RULE":
+        return False
     if token.type not in _AMBIGUOUS:
         return True
     if depth > 0:
@@ -62,10 +64,15 @@ def rows(rule: list[Token]) -> Iterator[tuple[str, list[Token]]]:
     table, depth = "", 0
     part: list[Token] = []
     kind = ""
+    condition = False  # between `if` or `forall` and its brace, where variables are declared
     for token in rule:
         if token.type in _TABLES:
             table, depth = _TABLES[token.type], 0
-        inside = bool(table) and depth == 1
+        inside = bool(table) and depth == 1 and not condition
+        if token.value in ("if", "forall") and kind:
+            condition = True
+        elif token.value == "{":
+            condition = False
         if inside and (token.type == "NAME_COLON" or token.value == "}"):
             if part:
                 yield kind, part
@@ -90,13 +97,16 @@ def without_context(rule: list[Token]) -> list[Token]:
 
 def balanced(rule: list[Token]) -> list[Token]:
     """A rule without the brace that closes its action."""
+    rest = len(rule)
+    while rest and rule[rest - 1].value == "}":
+        rest -= 1
     depth = 0
     for i, token in enumerate(rule):
         if token.value == "{":
             depth += 1
         elif token.value == "}":
             depth -= 1
-            if depth == 0 and all(t.value == "}" for t in rule[i:]):
+            if depth == 0 and i >= rest:
                 return rule[: i + 1]
     return rule
 

@@ -186,7 +186,11 @@ class Recovery:
             node, error = self._quietly(piece, "action")
             if error is None:
                 return node
-        starts = [i for i, token in enumerate(piece) if token.type == "RULE"]
+        starts = [
+            i
+            for i, token in enumerate(piece)
+            if token.type == "RULE" and i > 1 and piece[i - 1].type != "RULE"
+        ]
         if not starts:
             self._fail(piece, error)
             return None

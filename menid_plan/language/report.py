@@ -68,14 +68,15 @@ class Report:
         if name in self._lost:
             return
         message = f"unknown {kind} `{shown(name)}`"
-        names = list(candidates)
+        # Listing very many names for each of very many errors takes too long as well.
+        names = list(candidates) if self._work >= 0 else []
         close = None if hint else self.similar(name, names)
         if close:
             message += f"; did you mean `{close}`?"
             hint = f"write `{close}`, or declare `{shown(name)}`"
         elif hint is None and 0 < len(names) <= 8:
             hint = f"declared: {', '.join(f'`{n}`' for n in names)}"
-        elif hint is None and not names:
+        elif hint is None and not names and self._work >= 0:
             hint = f"no {kind} is declared"
         self.error(code, message, token, hint)
 

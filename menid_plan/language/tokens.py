@@ -18,6 +18,11 @@ from menid_plan.source import Diagnostic, SourceFile, Span
 
 BAD = "BAD"
 
+MAX_NAME = 255
+
+# Past this many bad characters, numbers and names the rest of a text is not looked at.
+MAX_LEXICAL_ERRORS = 100
+
 
 class Terminal(NamedTuple):
     """A terminal of a grammar: a word or sign (``is_fixed``), or a regular expression."""
@@ -94,12 +99,19 @@ class Lexer:
         diagnostics: list[Diagnostic] = []
         add = tokens.append
         for match in self._pattern.finditer(text):
+            if len(diagnostics) > MAX_LEXICAL_ERRORS:
+                message = f"more than {MAX_LEXICAL_ERRORS} such errors: the rest is not read"
+                span = Span(source, match.start(), match.end())
+                diagnostics.append(Diagnostic("error", "M106", message, span))
+                break
             kind = match.lastgroup
             if kind == "WHITE":
                 continue
             value = match.group()
             if kind == "NAME":
                 kind = words.get(value, kind)
+                if len(value) > MAX_NAME:
+                    kind = _too_long(source, match.start(), match.end(), diagnostics)
             elif kind == "SIGN":
                 kind = signs[value]
             elif kind == "COMMENT":
@@ -110,6 +122,8 @@ class Lexer:
                 kind = BAD
             elif kind == BAD:
                 _note_bad(source, match.start(), match.end(), diagnostics)
+            elif kind == "NAME_COLON" and len(value) > MAX_NAME:
+                kind = _too_long(source, match.start(), match.end(), diagnostics)
             add(Token(kind or BAD, value, match.start(), match.end(), len(tokens)))
         diagnostics.extend(_nested_too_deep(source, tokens))
         return TokenStream(source, tokens, comments, diagnostics)
@@ -183,6 +197,12 @@ def _suggestion(source: SourceFile, start: int, value: str) -> str | None:
 def shown(value: str) -> str:
     """A piece of a user's text, short enough for a message."""
     return value if len(value) <= 40 else value[:37] + "..."
+
+
+def _too_long(source: SourceFile, start: int, end: int, diagnostics: list[Diagnostic]) -> str:
+    message = f"a name of {end - start} characters: the limit is {MAX_NAME}"
+    diagnostics.append(Diagnostic("error", "M007", message, Span(source, start, end)))
+    return BAD
 
 
 def _too_large(source: SourceFile, start: int, end: int) -> Diagnostic:

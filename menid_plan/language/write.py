@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Sequence
 
+from menid_plan.language.declarations import MAX_RANGE
 from menid_plan.language.layout import layout
 from menid_plan.model.domain import OBJECT, Domain, Object, Param, Problem
 from menid_plan.model.formulas import TRUE
@@ -120,7 +121,9 @@ def ranges(names: Sequence[str]) -> Iterator[str]:
         end = start + 1
         if match and not match[1][-1:].isdigit() and match[1]:
             number = int(match[2])
-            while end < len(names) and names[end] == f"{match[1]}{number + end - start}":
+            # The reader takes ranges of so many objects, with numbers of so many digits.
+            most = min(len(names), start + MAX_RANGE // 10, start + 10**18 - number)
+            while end < most and names[end] == f"{match[1]}{number + end - start}":
                 end += 1
         if end - start >= 3:
             yield f"{names[start]}..{names[end - 1]}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -44,9 +45,14 @@ def columns(rule: Rule) -> Iterator[Column]:
             yield Column(environment, block, block.column(environment, rule.outcomes))
 
 
+def is_one(total: float) -> bool:
+    """Whether a column's sum is 1 within TOLERANCE (and what rounding adds to it)."""
+    return abs(total - 1) <= TOLERANCE + 1e-12
+
+
 def fault(cells: Sequence[Expression], params: Mapping[str, float]) -> str | None:
     """Why the cells are no distribution, in words; None if they are one within TOLERANCE."""
-    total = 0.0
+    values: list[float] = []
     for cell in cells:
         try:
             value = evaluate(cell, params)
@@ -54,8 +60,9 @@ def fault(cells: Sequence[Expression], params: Mapping[str, float]) -> str | Non
             return f"has `{expression_text(cell)}`, which has no value: {error}"
         if value < 0:
             return f"has `{expression_text(cell)}`, which is negative ({value:g})"
-        total += value
-    if abs(total - 1) > TOLERANCE:
+        values.append(value)
+    total = math.fsum(values)
+    if not is_one(total):
         return f"sums to {number_text(round(total, 9))}, not 1"
     return None
 

@@ -114,7 +114,7 @@ def cell_text(expression: Expression) -> str:
         case ParamName(name):
             return name
         case Arithmetic("/", Number(left), Number(right)) if (
-            left.is_integer() and right.is_integer()
+            left.is_integer() and right.is_integer() and max(left, right) < 1e15
         ):
             return f"{number_text(left)}/{number_text(right)}"
         case _:
