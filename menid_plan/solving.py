@@ -133,6 +133,13 @@ class Solver(Protocol):
         """
 
 
+class OnlinePolicy(Protocol):
+    """Something that can be asked for the next action, and may think each time."""
+
+    def action(self, state: int, seconds: float | None = None) -> int:
+        """The row to take in a state, -1 if there is none; ``seconds`` is a budget, None for any."""
+
+
 class UnknownSolverError(MenidError):
     """No installed package offers a solver of that name."""
 

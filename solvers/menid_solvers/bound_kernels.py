@@ -1,0 +1,278 @@
+"""The kernel that encloses the core's unknowns, block by block; see `menid_solvers.bounds`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from menid_plan.mdp.model import Bools, Floats, Ints, SmallInts
+from menid_solvers.jit import Naturals, kernel
+from menid_solvers.sweep_kernels import choose_policy, slack, sweep_all, sweep_policy, sweep_stay
+
+_ROWS = "i8[::1], i8[::1], u4[::1], f8[::1], f8[::1], f8[::1]"
+
+# What `state` holds between calls.
+BLOCK, PHASE, SHIFT, BLOCK_SWEEPS, LARGEST, SWEEPS, RESIDUAL, PATIENCE, WIDTH, STAY, MARK, TRIES = (
+    range(12)
+)
+STATE = 12
+# What a call ends with.
+DONE, MORE, SLOW = range(3)
+# The phases of a block.
+START, VALUE, DURATION, CHECK, UPPER = range(5)
+
+ROUNDING = 1.2e-16  # a little over 2^-53
+GIVE_UP = 300_000  # sweeps of a block, after which its bounds stay open
+
+
+@kernel(f"void(i8, {_ROWS}, f8[::1], f8[::1], i8[::1])")
+def close_single(
+    u: int,
+    first_row: Ints,
+    first_entry: Ints,
+    target: Naturals,
+    weight: Floats,
+    constant: Floats,
+    floor: Floats,
+    hi: Floats,
+    lo: Floats,
+    policy: Ints,
+) -> None:
+    """Bounds of an unknown that depends on earlier ones only; rounding goes outward."""
+    high = floor[u]
+    low = floor[u]
+    slack_of_ties = 0.0
+    for i in range(first_row[u], first_row[u + 1]):
+        up = constant[i]
+        down = constant[i]
+        size = abs(constant[i])
+        for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+            above = weight[k] * hi[target[k]]
+            below = weight[k] * lo[target[k]]
+            up += above
+            down += below
+            size += max(abs(above), abs(below))
+        error = ROUNDING * (first_entry[i + 1] - first_entry[i] + 8) * size
+        high = max(high, up + error)
+        low = max(low, down - error)
+        slack_of_ties = max(slack_of_ties, 4.0 * error)
+    policy[u] = -1
+    for i in range(first_row[u], first_row[u + 1]):
+        down = constant[i]
+        size = abs(constant[i])
+        for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+            below = weight[k] * lo[target[k]]
+            down += below
+            size += abs(below)
+        if down >= low - slack_of_ties:
+            error = ROUNDING * (first_entry[i + 1] - first_entry[i] + 8) * size
+            policy[u] = i
+            low = min(low, down - error)
+            break
+    hi[u] = high
+    lo[u] = low
+
+
+@kernel(
+    f"i8({_ROWS}, f8[::1], i8[::1], i4[::1], i8, f8, f8, f8, f8, i8,"
+    " f8[::1], f8[::1], f8[::1], f8[::1], i8[::1], b1[::1])"
+)
+def advance(
+    first_row: Ints,
+    first_entry: Ints,
+    target: Naturals,
+    weight: Floats,
+    constant: Floats,
+    floor: Floats,
+    leak: Floats,
+    block_first: Ints,
+    depth: SmallInts,
+    longest: int,
+    discount: float,
+    epsilon: float,
+    highest: float,
+    work: float,
+    sweep_limit: int,
+    state: Floats,
+    hi: Floats,
+    lo: Floats,
+    stay: Floats,
+    policy: Ints,
+    leaves: Bools,
+) -> int:
+    """Enclose blocks from where state stands, until work entries were read; see the module."""
+    measured = np.zeros(3)
+    blocks = len(depth)
+    deepest = 1
+    for b in range(blocks):
+        deepest = max(deepest, depth[b])
+    own = epsilon / deepest
+    spent = 0.0
+    while state[BLOCK] < blocks:
+        b = int(state[BLOCK])
+        first = block_first[b]
+        last = block_first[b + 1]
+        rows = first_row[last] - first_row[first]
+        block_work = float(first_entry[first_row[last]] - first_entry[first_row[first]])
+        block_work += last - first
+        policy_work = block_work * (last - first) / max(rows, 1)
+        allowed = own * max(depth[b], 1)
+        if spent > work or state[SWEEPS] >= sweep_limit:
+            return MORE
+        if state[PHASE] == START:
+            if last - first == 1:
+                close_single(
+                    first, first_row, first_entry, target, weight, constant, floor, hi, lo, policy
+                )
+                state[LARGEST] = max(state[LARGEST], abs(hi[first]), abs(lo[first]))
+                state[BLOCK] += 1
+                spent += block_work
+                continue
+            state[STAY] = 1.0 / (1.0 - discount) if discount < 1.0 else 10.0
+            state[SHIFT] = own / (4.0 * state[STAY])
+            state[BLOCK_SWEEPS] = 0.0
+            state[PATIENCE] = 100.0
+            state[MARK] = 0.0
+            state[TRIES] = 0.0
+            state[PHASE] = VALUE
+            for u in range(first, last):
+                stay[u] = state[STAY] if discount < 1.0 else 0.0
+        error = ROUNDING * (longest + 8) * state[LARGEST]
+        shift = max(state[SHIFT], 16.0 * error)
+        state[SHIFT] = shift
+        if state[BLOCK_SWEEPS] > state[PATIENCE]:
+            return SLOW
+
+        if state[PHASE] == VALUE:
+            sweep_all(
+                first, last, 0.0, first_row, first_entry, target, weight, constant, floor,
+                hi, policy, measured,
+            )  # fmt: skip
+            state[SWEEPS] += 1
+            state[BLOCK_SWEEPS] += 1
+            spent += block_work
+            state[LARGEST] = max(state[LARGEST], measured[2])
+            state[RESIDUAL] = max(measured[0], measured[1])
+            error = ROUNDING * (longest + 8) * state[LARGEST]
+            if state[RESIDUAL] <= 0.25 * shift:
+                state[PHASE] = CHECK if discount < 1.0 else DURATION
+                if discount == 1.0:
+                    choose_policy(
+                        first, last, 4.0 * error, first_row, first_entry, target, weight,
+                        constant, floor, leak, hi, policy, leaves,
+                    )  # fmt: skip
+                    spent += 2 * block_work
+                continue
+            for _ in range(min(8, int(rows / (last - first)) - 1)):  # cheaper than asking all
+                sweep_policy(
+                    first, last, 0.0, first_row, first_entry, target, weight, constant, floor,
+                    hi, policy, measured,
+                )  # fmt: skip
+                spent += policy_work
+
+        elif state[PHASE] == DURATION:
+            sweep_stay(first, last, first_row, first_entry, target, weight, stay, policy, measured)
+            state[SWEEPS] += 1
+            state[BLOCK_SWEEPS] += 1
+            spent += policy_work
+            state[RESIDUAL] = max(measured[0], measured[1] / 4.0)
+            if measured[0] > 0.25 or measured[1] > 0.1 * measured[2]:
+                continue
+            # stay >= 0.75 + P stay: as much as the shift is worth until the block is left.
+            state[STAY] = measured[2]
+            if state[MARK] == 0.0:
+                state[MARK] = 1.0
+                state[SHIFT] = min(own / (4.0 * state[STAY]), own / 40.0)
+                state[PHASE] = VALUE
+            else:
+                state[SHIFT] = min(state[SHIFT], own / (4.0 * state[STAY]))
+                state[PHASE] = CHECK
+            continue
+
+        elif state[PHASE] == CHECK:
+            choose_policy(
+                first, last, max(4.0 * error, 0.05 * shift), first_row, first_entry, target,
+                weight, constant, floor, leak, hi, policy, leaves,
+            )  # fmt: skip
+            width = 0.0
+            for u in range(first, last):
+                i = policy[u]
+                if i >= 0:
+                    for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+                        if target[k] < first:
+                            width = max(width, hi[target[k]] - lo[target[k]])
+            state[WIDTH] = width
+            for u in range(first, last):
+                lo[u] = hi[u] - width - shift * stay[u]
+                hi[u] += shift * stay[u]
+            slack(
+                first, last, first_row, first_entry, target, weight, constant, floor, hi, lo,
+                policy, measured,
+            )  # fmt: skip
+            spent += 4 * block_work
+            error = ROUNDING * (longest + 8) * (state[LARGEST] + shift * state[STAY])
+            if measured[1] >= error:
+                if measured[0] >= error:
+                    gap = 0.0
+                    for u in range(first, last):
+                        gap = max(gap, hi[u] - lo[u])
+                    state[LARGEST] += shift * state[STAY]
+                    if gap <= allowed or shift <= 17.0 * error:
+                        state[BLOCK] += 1
+                        state[PHASE] = START
+                        continue
+                state[TRIES] += 1
+                if measured[0] < error and (state[TRIES] % 3 == 0 or shift <= 17.0 * error):
+                    # Rows that are as good take longer: let hi find the longest of them.
+                    state[MARK] = 2.0 * state[BLOCK_SWEEPS] + 20.0
+                    state[PHASE] = UPPER
+                    continue
+            for u in range(first, last):
+                hi[u] -= shift * stay[u]
+            state[SHIFT] = 0.125 * shift
+            state[PHASE] = VALUE
+            if state[BLOCK_SWEEPS] > GIVE_UP:
+                for u in range(first, last):
+                    hi[u] = highest
+                    if measured[1] < error:
+                        lo[u] = -np.inf
+                state[BLOCK] += 1
+                state[PHASE] = START
+
+        else:
+            sweep_all(
+                first, last, shift, first_row, first_entry, target, weight, constant, floor,
+                hi, policy, measured,
+            )  # fmt: skip
+            state[SWEEPS] += 1
+            state[BLOCK_SWEEPS] += 1
+            spent += block_work
+            state[LARGEST] = max(state[LARGEST], measured[2])
+            state[RESIDUAL] = measured[0]
+            error = ROUNDING * (longest + 8) * state[LARGEST]
+            if measured[0] <= shift - error:
+                # No unknown rose by more than the shift: hi >= T(hi). The policy is that of lo.
+                gap = 0.0
+                for u in range(first, last):
+                    gap = max(gap, hi[u] - lo[u])
+                if gap <= allowed or shift <= 17.0 * error:
+                    choose_policy(
+                        first, last, 0.0, first_row, first_entry, target, weight, constant,
+                        floor, leak, lo, policy, leaves,
+                    )  # fmt: skip
+                    state[BLOCK] += 1
+                    state[PHASE] = START
+                    continue
+                state[MARK] = 0.0
+            if state[BLOCK_SWEEPS] > state[MARK]:
+                # Back to the values (they are above lo), and a smaller shift.
+                for u in range(first, last):
+                    hi[u] = min(hi[u], lo[u] + state[WIDTH] + shift * stay[u])
+                state[MARK] = 1.0
+                state[SHIFT] = 0.125 * shift
+                state[PHASE] = VALUE
+                if shift <= 17.0 * error and state[BLOCK_SWEEPS] > GIVE_UP:
+                    for u in range(first, last):
+                        hi[u] = highest
+                    state[BLOCK] += 1
+                    state[PHASE] = START
+    return DONE

@@ -1,0 +1,138 @@
+"""The equations that remain of an MDP and an objective once its graph has been dealt with.
+
+With unknowns x (one for each state, or for each end component that was merged into one), rows i of
+unknown u, and entries k of row i::
+
+    x[u] = max(floor[u], max over i of  constant[i] + sum over k of weight[k] * x[target[k]])
+
+Loops of a row to its own unknown are solved for, the discount is multiplied into the weights, and
+what leads to a known value is in the constant; leak[i] = 1 - sum of weights. Unknowns are numbered
+by *blocks* (strongly connected components) such that a block refers to itself and earlier ones, and
+within a block the state found last comes first, since values flow back from the end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from menid_plan.mdp.model import MDP, Bools, Floats, Ints, SmallInts
+from menid_solvers import core_kernels as kernels
+from menid_solvers.graph import components
+from menid_solvers.jit import Naturals
+
+Rows: TypeAlias = tuple[Ints, Ints, Naturals, Floats, Floats, Floats]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Core:
+    """The equations. See the module; with u unknowns, i rows, k entries, b blocks and n states.
+
+    ::
+
+    first_row     int64[u + 1]     constant, leak  float64[i]
+    first_entry   int64[i + 1]     weight          float64[k]
+    block_first   int64[b + 1]     target          int32[k]
+    floor         float64[u]       what ending at once pays, -inf where one cannot
+    source        int64[i]         the row of the MDP
+    unknown       int32[n]         of a state; -1 where the value is known
+    depth         int32[b]         blocks of several unknowns on the longest way from here
+    """
+
+    first_row: Ints
+    first_entry: Ints
+    target: Naturals
+    weight: Floats
+    constant: Floats
+    leak: Floats
+    floor: Floats
+    source: Ints
+    unknown: SmallInts
+    block_first: Ints
+    depth: SmallInts
+    longest: int
+    discount: float
+
+    @property
+    def unknowns(self) -> int:
+        """How many unknowns there are."""
+        return len(self.floor)
+
+    @property
+    def blocks(self) -> int:
+        """How many blocks there are."""
+        return len(self.depth)
+
+    def rows(self) -> Rows:
+        """The arrays that the sweeps read, in the order of their parameters."""
+        return (
+            self.first_row, self.first_entry, self.target, self.weight, self.constant, self.floor,
+        )  # fmt: skip
+
+
+def build_core(
+    mdp: MDP,
+    *,
+    rows: Bools,
+    reward: Floats,
+    discount: float,
+    known: Bools,
+    known_value: Floats,
+    merged: SmallInts | None = None,
+    inside: Bools | None = None,
+    stop: Floats | None = None,
+) -> Core:
+    """The equations of an MDP restricted to some rows (bool[r]).
+
+    ``known`` (bool[n]) says where the value is ``known_value``; ``merged`` (int32[n], -1 for none)
+    which end component a state is in that becomes one unknown, ``inside`` (bool[r]) which rows stay
+    inside such a component (they are left out), and ``stop`` (float64, by component) what staying
+    in it forever is worth, -inf if that is not allowed.
+    """
+    n = mdp.states
+    number, component = components(mdp, rows)
+    if merged is None:
+        merged = np.full(n, -1, np.int32)
+    unknown = np.empty(n, np.int32)
+    member = np.empty(n, np.int32)
+    member_first = np.empty(n + 1, np.int64)
+    block_first = np.empty(number + 1, np.int64)
+    unknowns, blocks = kernels.number_unknowns(
+        component, number, known, merged, unknown, member, member_first, block_first
+    )
+    counts = rows if inside is None else rows & ~inside
+    first_row = np.empty(unknowns + 1, np.int64)
+    first_entry = np.zeros(mdp.rows + 1, np.int64)
+    source = np.empty(mdp.rows, np.int64)
+    constant = np.empty(mdp.rows)
+    leak = np.empty(mdp.rows)
+    target = np.empty(mdp.transitions, np.uint32)
+    weight = np.empty(mdp.transitions)
+    depth = np.zeros(blocks, np.int32)
+    row_number, entries, longest = kernels.compile_rows(
+        mdp.state_row, mdp.row_transition, mdp.next_state, mdp.probability, counts, reward,
+        known_value, discount, unknown, member, member_first, block_first, blocks,
+        first_row, first_entry, source, constant, leak, target, weight, depth,
+    )  # fmt: skip
+    floor = np.full(unknowns, -np.inf)
+    if stop is not None:
+        where = merged >= 0
+        where &= ~known
+        floor[unknown[where]] = stop[merged[where]]
+    return Core(
+        first_row=first_row,
+        first_entry=first_entry[: row_number + 1],
+        target=target[:entries],
+        weight=weight[:entries],
+        constant=constant[:row_number],
+        leak=leak[:row_number],
+        floor=floor,
+        source=source[:row_number],
+        unknown=unknown,
+        block_first=block_first[: blocks + 1],
+        depth=depth,
+        longest=longest,
+        discount=discount,
+    )

@@ -1,0 +1,167 @@
+"""Small kernels over the rows of an MDP: what a row expects, steering, the gain of a component."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from menid_plan.mdp.model import Bools, Floats, Ints, SmallInts
+from menid_solvers.jit import kernel
+
+
+@kernel("void(i8[::1], i4[::1], f8[::1], b1[::1], f8[::1], f8[::1])")
+def expect(
+    row_transition: Ints,
+    next_state: SmallInts,
+    probability: Floats,
+    row_counts: Bools,
+    x: Floats,
+    expected: Floats,
+) -> None:
+    """expected[r] = sum of probability * x[next] over the row, as a mean; rows that count only."""
+    for r in range(len(row_transition) - 1):
+        if not row_counts[r]:
+            continue
+        total = 0.0
+        value = 0.0
+        for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
+            if probability[e] > 0.0:
+                total += probability[e]
+                value += probability[e] * x[next_state[e]]
+        expected[r] = value / total
+
+
+@kernel(
+    "void(i8[::1], i8[::1], i4[::1], f8[::1], i8[::1], i4[::1], i4[::1], b1[::1], b1[::1], i4[::1])"
+)
+def steer(
+    state_row: Ints,
+    row_transition: Ints,
+    next_state: SmallInts,
+    probability: Floats,
+    first: Ints,
+    row: SmallInts,
+    row_state: SmallInts,
+    row_counts: Bools,
+    target: Bools,
+    policy: SmallInts,
+) -> None:
+    """Set the policy so that the targets come nearer: the lowest row with a nearer next state.
+
+    Only states from which the rows that count lead to a target are changed, and no target is.
+    """
+    n = len(target)
+    distance = np.full(n, n, np.int32)
+    queue = np.empty(n, np.int32)
+    tail = 0
+    for s in range(n):
+        if target[s]:
+            distance[s] = 0
+            queue[tail] = s
+            tail += 1
+    head = 0
+    while head < tail:
+        t = queue[head]
+        head += 1
+        for k in range(first[t], first[t + 1]):
+            r = row[k]
+            s = row_state[r]
+            if row_counts[r] and distance[s] == n:
+                distance[s] = distance[t] + 1
+                queue[tail] = s
+                tail += 1
+    for s in range(n):
+        if distance[s] == n or distance[s] == 0:
+            continue
+        chosen = -1
+        for r in range(state_row[s], state_row[s + 1]):
+            if chosen >= 0 or not row_counts[r]:
+                continue
+            for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
+                if probability[e] > 0.0 and distance[next_state[e]] < distance[s]:
+                    chosen = r
+                    break
+        policy[s] = chosen
+
+
+@kernel(
+    "UniTuple(f8, 2)(i8[::1], i8[::1], i4[::1], f8[::1], b1[::1], f8[::1], i4[::1], f8, i8, f8[::1])"
+)
+def gain(
+    state_row: Ints,
+    row_transition: Ints,
+    next_state: SmallInts,
+    probability: Floats,
+    row_counts: Bools,
+    reward: Floats,
+    members: SmallInts,
+    margin: float,
+    sweeps: int,
+    x: Floats,
+) -> tuple[float, float]:
+    """Bounds on the best reward per step within an end component, from damped value iteration.
+
+    Ends once the sign is known by more than margin, or after the sweeps. For any x the best gain is
+    between the least and the largest T(x) - x (Odoni 1969).
+    """
+    change = np.empty(len(members))
+    least = -np.inf
+    most = np.inf
+    for _ in range(sweeps):
+        low = np.inf
+        high = -np.inf
+        for j in range(len(members)):
+            s = members[j]
+            best = -np.inf
+            for r in range(state_row[s], state_row[s + 1]):
+                if row_counts[r]:
+                    value = reward[r]
+                    for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
+                        value += probability[e] * x[next_state[e]]
+                    best = max(best, value)
+            change[j] = best - x[s]
+            low = min(low, change[j])
+            high = max(high, change[j])
+        least = max(least, low)
+        most = min(most, high)
+        if least > margin or most < -margin:
+            break
+        base = change[0]
+        for j in range(len(members)):
+            x[members[j]] += 0.5 * (change[j] - base)
+    return least, most
+
+
+@kernel("b1(i8[::1], i8[::1], i4[::1], f8[::1], b1[::1], f8[::1], i4[::1], i8, f8[::1])")
+def potential(
+    state_row: Ints,
+    row_transition: Ints,
+    next_state: SmallInts,
+    probability: Floats,
+    row_counts: Bools,
+    reward: Floats,
+    members: SmallInts,
+    sweeps: int,
+    h: Floats,
+) -> bool:
+    """The least h >= 0 with h >= reward + P h on the rows of an end component, if it is exact.
+
+    True if the sweeps ended in a fixed point to the last bit, as they do for whole rewards and
+    certain outcomes.
+    """
+    for _ in range(sweeps):
+        changed = False
+        for j in range(len(members)):
+            s = members[j]
+            best = 0.0
+            for r in range(state_row[s], state_row[s + 1]):
+                if row_counts[r]:
+                    value = reward[r]
+                    for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
+                        value += probability[e] * h[next_state[e]]
+                    best = max(best, value)
+            if best != h[s]:
+                h[s] = best
+                changed = True
+        if not changed:
+            return True
+    return False

@@ -1,0 +1,249 @@
+"""Kernels that sweep over a block of the core's equations; see `menid_solvers.core`.
+
+A sweep takes the unknowns first..last in order and uses new values at once (Gauss-Seidel). ``x`` is
+changed in place; ``measured`` receives the largest rise, the largest fall and the largest |x|.
+A policy holds a row of the core for each unknown, -1 for ending at once (the floor).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from menid_plan.mdp.model import Bools, Floats, Ints
+from menid_solvers.jit import Naturals, kernel
+
+_ROWS = "i8[::1], i8[::1], u4[::1], f8[::1], f8[::1], f8[::1]"
+
+
+@kernel(f"void(i8, i8, f8, {_ROWS}, f8[::1], i8[::1], f8[::1])")
+def sweep_all(
+    first: int,
+    last: int,
+    shift: float,
+    first_row: Ints,
+    first_entry: Ints,
+    target: Naturals,
+    weight: Floats,
+    constant: Floats,
+    floor: Floats,
+    x: Floats,
+    policy: Ints,
+    measured: Floats,
+) -> None:
+    """x[u] = shift + the best of the rows, for each unknown; policy: which it was, lowest first."""
+    rise = 0.0
+    fall = 0.0
+    largest = 0.0
+    for u in range(first, last):
+        best = floor[u]
+        chosen = -1
+        for i in range(first_row[u], first_row[u + 1]):
+            value = constant[i]
+            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+                value += weight[k] * x[target[k]]
+            if value > best:
+                best = value
+                chosen = i
+        best += shift
+        change = best - x[u]
+        rise = max(rise, change)
+        fall = max(fall, -change)
+        largest = max(largest, abs(best))
+        x[u] = best
+        policy[u] = chosen
+    measured[0] = rise
+    measured[1] = fall
+    measured[2] = largest
+
+
+@kernel(f"void(i8, i8, f8, {_ROWS}, f8[::1], i8[::1], f8[::1])")
+def sweep_policy(
+    first: int,
+    last: int,
+    shift: float,
+    first_row: Ints,  # noqa: ARG001 - all sweeps take the same arrays
+    first_entry: Ints,
+    target: Naturals,
+    weight: Floats,
+    constant: Floats,
+    floor: Floats,
+    x: Floats,
+    policy: Ints,
+    measured: Floats,
+) -> None:
+    """x[u] = shift + the policy's row, for each unknown."""
+    rise = 0.0
+    fall = 0.0
+    largest = 0.0
+    for u in range(first, last):
+        i = policy[u]
+        if i < 0:
+            value = floor[u]
+        else:
+            value = constant[i]
+            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+                value += weight[k] * x[target[k]]
+        value += shift
+        change = value - x[u]
+        rise = max(rise, change)
+        fall = max(fall, -change)
+        largest = max(largest, abs(value))
+        x[u] = value
+    measured[0] = rise
+    measured[1] = fall
+    measured[2] = largest
+
+
+@kernel("void(i8, i8, i8[::1], i8[::1], u4[::1], f8[::1], f8[::1], i8[::1], f8[::1])")
+def sweep_stay(
+    first: int,
+    last: int,
+    first_row: Ints,  # noqa: ARG001 - all sweeps take the same arrays
+    first_entry: Ints,
+    target: Naturals,
+    weight: Floats,
+    stay: Floats,
+    policy: Ints,
+    measured: Floats,
+) -> None:
+    """stay[u] = 1 + what the policy's row expects of it: sweeps until the block is left."""
+    rise = 0.0
+    fall = 0.0
+    largest = 0.0
+    for u in range(first, last):
+        i = policy[u]
+        value = 1.0
+        if i >= 0:
+            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+                if target[k] >= first:
+                    value += weight[k] * stay[target[k]]
+        change = value - stay[u]
+        rise = max(rise, change)
+        fall = max(fall, -change)
+        largest = max(largest, value)
+        stay[u] = value
+    measured[0] = rise
+    measured[1] = fall
+    measured[2] = largest
+
+
+@kernel(f"void(i8, i8, {_ROWS}, f8[::1], f8[::1], i8[::1], f8[::1])")
+def slack(
+    first: int,
+    last: int,
+    first_row: Ints,
+    first_entry: Ints,
+    target: Naturals,
+    weight: Floats,
+    constant: Floats,
+    floor: Floats,
+    hi: Floats,
+    lo: Floats,
+    policy: Ints,
+    measured: Floats,
+) -> None:
+    """measured: the least hi - T(hi), over all rows, and the least T(lo) - lo, of the policy."""
+    above = np.inf
+    below = np.inf
+    for u in range(first, last):
+        best = floor[u]
+        for i in range(first_row[u], first_row[u + 1]):
+            value = constant[i]
+            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+                value += weight[k] * hi[target[k]]
+            best = max(best, value)
+        above = min(above, hi[u] - best)
+        i = policy[u]
+        if i < 0:
+            value = floor[u]
+        else:
+            value = constant[i]
+            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+                value += weight[k] * lo[target[k]]
+        below = min(below, value - lo[u])
+    measured[0] = above
+    measured[1] = below
+
+
+@kernel(f"void(i8, i8, f8, {_ROWS}, f8[::1], f8[::1], i8[::1], b1[::1])")
+def choose_policy(
+    first: int,
+    last: int,
+    tie: float,
+    first_row: Ints,
+    first_entry: Ints,
+    target: Naturals,
+    weight: Floats,
+    constant: Floats,
+    floor: Floats,
+    leak: Floats,
+    x: Floats,
+    policy: Ints,
+    leaves: Bools,
+) -> None:
+    """The lowest rows within tie of the best, changed where they would never leave the block.
+
+    Leaving is sure if from every unknown the policy can leave (the block is finite). Unknowns from
+    which it cannot take the best row that leads to one from which it can.
+    """
+    for u in range(first, last):
+        best = floor[u]
+        for i in range(first_row[u], first_row[u + 1]):
+            value = constant[i]
+            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+                value += weight[k] * x[target[k]]
+            best = max(best, value)
+        policy[u] = -1
+        for i in range(first_row[u], first_row[u + 1]):
+            value = constant[i]
+            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+                value += weight[k] * x[target[k]]
+            if value >= best - tie:
+                policy[u] = i
+                break
+        leaves[u] = False
+    left = last - first
+    while left > 0:
+        before = left
+        for step in range(2 * (last - first)):  # there and back
+            u = first + step if step < last - first else 2 * last - first - 1 - step
+            if leaves[u]:
+                continue
+            i = policy[u]
+            out = i < 0 or leak[i] > 0.0
+            if not out:
+                for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+                    t = target[k]
+                    if t < first or leaves[t]:
+                        out = True
+                        break
+            if out:
+                leaves[u] = True
+                left -= 1
+        if left < before:
+            continue
+        # The rest would stay for ever: the best row into the part that leaves.
+        for u in range(first, last):
+            if leaves[u]:
+                continue
+            best = floor[u]
+            chosen = -2
+            if best > -np.inf:
+                chosen = -1
+            for i in range(first_row[u], first_row[u + 1]):
+                out = leak[i] > 0.0
+                value = constant[i]
+                for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+                    t = target[k]
+                    value += weight[k] * x[t]
+                    if t < first or leaves[t]:
+                        out = True
+                if out and (chosen == -2 or value > best):
+                    best = value
+                    chosen = i
+            if chosen != -2:
+                policy[u] = chosen
+                leaves[u] = True
+                left -= 1
+        if left == before:
+            return  # there is no way out; the core's builder sees to it that this cannot be
