@@ -9,7 +9,7 @@ import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 from lark import Lark, logger
 from lark.exceptions import UnexpectedInput
@@ -42,7 +42,7 @@ class GivenTokens(LarkLexer):
 def parse_tokens(tokens: list[syntax.Token], start: str) -> Any:
     """The node that the tokens make, by the grammar's rule ``start``; raises SYNTAX_ERRORS."""
     with _without_collection():
-        return _lark().parse(tokens, start=start)  # type: ignore[arg-type]
+        return _lark().parse(cast("Any", tokens), start=start)
 
 
 def accepted(error: UnexpectedInput) -> set[str]:
