@@ -6,21 +6,30 @@ import numpy as np
 
 from menid_plan.mdp.model import Bools, Floats, Ints, SmallInts
 from menid_solvers.jit import Naturals, kernel
-from menid_solvers.sweep_kernels import choose_policy, slack, sweep_all, sweep_policy, sweep_stay
+from menid_solvers.sweep_kernels import (
+    choose_certified,
+    choose_policy,
+    slack,
+    sweep_all,
+    sweep_policy,
+    sweep_shortest_stay,
+    sweep_stay,
+)
 
 _ROWS = "i8[::1], i8[::1], u4[::1], f8[::1], f8[::1], f8[::1]"
 
 # What `state` holds between calls.
-BLOCK, PHASE, SHIFT, BLOCK_SWEEPS, LARGEST, SWEEPS, RESIDUAL, PATIENCE, WIDTH, STAY, MARK, TRIES = (
-    range(12)
+BLOCK, PHASE, SHIFT, BLOCK_SWEEPS, LARGEST, SWEEPS, RESIDUAL, PATIENCE, WIDTH, STAY, MARK = range(
+    11
 )
-STATE = 12
+STATE = 11
 # What a call ends with.
 DONE, MORE, SLOW = range(3)
 # The phases of a block.
 START, VALUE, DURATION, CHECK, UPPER = range(5)
 
 ROUNDING = 1.2e-16  # a little over 2^-53
+SHORTEST_AFTER = 64  # sweeps for the stay of a policy that may linger for nothing
 GIVE_UP = 300_000  # sweeps of a block, after which its bounds stay open
 
 
@@ -132,7 +141,6 @@ def advance(
             state[BLOCK_SWEEPS] = 0.0
             state[PATIENCE] = 100.0
             state[MARK] = 0.0
-            state[TRIES] = 0.0
             state[PHASE] = VALUE
             for u in range(first, last):
                 stay[u] = state[STAY] if discount < 1.0 else 0.0
@@ -144,7 +152,7 @@ def advance(
 
         if state[PHASE] == VALUE:
             sweep_all(
-                first, last, 0.0, first_row, first_entry, target, weight, constant, floor,
+                first, last, False, first_row, first_entry, target, weight, constant, floor,
                 hi, policy, measured,
             )  # fmt: skip
             state[SWEEPS] += 1
@@ -152,127 +160,109 @@ def advance(
             spent += block_work
             state[LARGEST] = max(state[LARGEST], measured[2])
             state[RESIDUAL] = max(measured[0], measured[1])
-            error = ROUNDING * (longest + 8) * state[LARGEST]
-            if state[RESIDUAL] <= 0.25 * shift:
-                state[PHASE] = CHECK if discount < 1.0 else DURATION
-                if discount == 1.0:
-                    choose_policy(
-                        first, last, 4.0 * error, first_row, first_entry, target, weight,
-                        constant, floor, leak, hi, policy, leaves,
+            if state[RESIDUAL] > 0.25 * shift:
+                for _ in range(min(8, int(rows / (last - first)) - 1)):  # cheaper than asking all
+                    sweep_policy(
+                        first, last, first_row, first_entry, target, weight, constant, floor,
+                        hi, policy,
                     )  # fmt: skip
-                    spent += 2 * block_work
+                    spent += policy_work
                 continue
-            for _ in range(min(8, int(rows / (last - first)) - 1)):  # cheaper than asking all
-                sweep_policy(
-                    first, last, 0.0, first_row, first_entry, target, weight, constant, floor,
-                    hi, policy, measured,
+            state[PHASE] = CHECK
+            if discount == 1.0:
+                choose_policy(
+                    first, last, 4.0 * error, first_row, first_entry, target, weight,
+                    constant, floor, leak, hi, policy, leaves,
                 )  # fmt: skip
-                spent += policy_work
+                spent += 2 * block_work
+                state[MARK] = 0.0
+                state[PHASE] = DURATION
 
         elif state[PHASE] == DURATION:
-            sweep_stay(first, last, first_row, first_entry, target, weight, stay, policy, measured)
+            if state[MARK] < SHORTEST_AFTER:
+                sweep_stay(
+                    first, last, first_row, first_entry, target, weight, stay, policy, measured
+                )
+                spent += policy_work
+            else:
+                sweep_shortest_stay(
+                    first, last, 0.05 * shift, first_row, first_entry, target, weight, constant,
+                    floor, hi, stay, policy, measured,
+                )  # fmt: skip
+                spent += block_work
+            state[MARK] += 1
             state[SWEEPS] += 1
             state[BLOCK_SWEEPS] += 1
-            spent += policy_work
-            state[RESIDUAL] = max(measured[0], measured[1] / 4.0)
+            state[RESIDUAL] = max(measured[0], measured[1])
             if measured[0] > 0.25 or measured[1] > 0.1 * measured[2]:
                 continue
-            # stay >= 0.75 + P stay: as much as the shift is worth until the block is left.
+            # stay >= 0.75 + P stay: so often the shift is paid until the block is left.
             state[STAY] = measured[2]
-            if state[MARK] == 0.0:
-                state[MARK] = 1.0
-                state[SHIFT] = min(own / (4.0 * state[STAY]), own / 40.0)
-                state[PHASE] = VALUE
+            wanted = own / (4.0 * state[STAY])
+            if wanted < 0.5 * shift:
+                state[SHIFT] = wanted
+                state[PHASE] = VALUE if shift > 17.0 * error else CHECK
             else:
-                state[SHIFT] = min(state[SHIFT], own / (4.0 * state[STAY]))
                 state[PHASE] = CHECK
-            continue
 
         elif state[PHASE] == CHECK:
-            choose_policy(
-                first, last, max(4.0 * error, 0.05 * shift), first_row, first_entry, target,
-                weight, constant, floor, leak, hi, policy, leaves,
-            )  # fmt: skip
             width = 0.0
-            for u in range(first, last):
-                i = policy[u]
-                if i >= 0:
-                    for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
-                        if target[k] < first:
-                            width = max(width, hi[target[k]] - lo[target[k]])
+            for i in range(first_row[first], first_row[last]):
+                for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+                    if target[k] < first:
+                        width = max(width, hi[target[k]] - lo[target[k]])
             state[WIDTH] = width
             for u in range(first, last):
                 lo[u] = hi[u] - width - shift * stay[u]
                 hi[u] += shift * stay[u]
+            error = ROUNDING * (longest + 8) * (state[LARGEST] + shift * state[STAY])
+            choose_certified(
+                first, last, max(4.0 * error, 0.05 * shift), error, first_row, first_entry,
+                target, weight, constant, floor, lo, policy,
+            )  # fmt: skip
             slack(
                 first, last, first_row, first_entry, target, weight, constant, floor, hi, lo,
                 policy, measured,
             )  # fmt: skip
             spent += 4 * block_work
-            error = ROUNDING * (longest + 8) * (state[LARGEST] + shift * state[STAY])
-            if measured[1] >= error:
-                if measured[0] >= error:
-                    gap = 0.0
-                    for u in range(first, last):
-                        gap = max(gap, hi[u] - lo[u])
-                    state[LARGEST] += shift * state[STAY]
-                    if gap <= allowed or shift <= 17.0 * error:
-                        state[BLOCK] += 1
-                        state[PHASE] = START
-                        continue
-                state[TRIES] += 1
-                if measured[0] < error and (state[TRIES] % 3 == 0 or shift <= 17.0 * error):
-                    # Rows that are as good take longer: let hi find the longest of them.
-                    state[MARK] = 2.0 * state[BLOCK_SWEEPS] + 20.0
-                    state[PHASE] = UPPER
-                    continue
-            for u in range(first, last):
-                hi[u] -= shift * stay[u]
-            state[SHIFT] = 0.125 * shift
-            state[PHASE] = VALUE
-            if state[BLOCK_SWEEPS] > GIVE_UP:
+            if measured[1] < error and state[BLOCK_SWEEPS] < GIVE_UP:
                 for u in range(first, last):
-                    hi[u] = highest
-                    if measured[1] < error:
-                        lo[u] = -np.inf
-                state[BLOCK] += 1
-                state[PHASE] = START
-
-        else:
-            sweep_all(
-                first, last, shift, first_row, first_entry, target, weight, constant, floor,
-                hi, policy, measured,
-            )  # fmt: skip
-            state[SWEEPS] += 1
-            state[BLOCK_SWEEPS] += 1
-            spent += block_work
-            state[LARGEST] = max(state[LARGEST], measured[2])
-            state[RESIDUAL] = measured[0]
-            error = ROUNDING * (longest + 8) * state[LARGEST]
-            if measured[0] <= shift - error:
-                # No unknown rose by more than the shift: hi >= T(hi). The policy is that of lo.
-                gap = 0.0
-                for u in range(first, last):
-                    gap = max(gap, hi[u] - lo[u])
-                if gap <= allowed or shift <= 17.0 * error:
-                    choose_policy(
-                        first, last, 0.0, first_row, first_entry, target, weight, constant,
-                        floor, leak, lo, policy, leaves,
-                    )  # fmt: skip
-                    state[BLOCK] += 1
-                    state[PHASE] = START
-                    continue
-                state[MARK] = 0.0
-            if state[BLOCK_SWEEPS] > state[MARK]:
-                # Back to the values (they are above lo), and a smaller shift.
-                for u in range(first, last):
-                    hi[u] = min(hi[u], lo[u] + state[WIDTH] + shift * stay[u])
-                state[MARK] = 1.0
+                    hi[u] -= shift * stay[u]
                 state[SHIFT] = 0.125 * shift
                 state[PHASE] = VALUE
-                if shift <= 17.0 * error and state[BLOCK_SWEEPS] > GIVE_UP:
-                    for u in range(first, last):
-                        hi[u] = highest
-                    state[BLOCK] += 1
-                    state[PHASE] = START
+                continue
+            if measured[1] < error:
+                for u in range(first, last):
+                    lo[u] = -np.inf
+            # lo <= T(lo); the same of hi, or it rises until it is so.
+            state[MARK] = 0.0 if measured[0] >= error else 1.0
+            state[PHASE] = UPPER
+
+        else:
+            if state[MARK] > 0.0:
+                sweep_all(
+                    first, last, True, first_row, first_entry, target, weight, constant, floor,
+                    hi, policy, measured,
+                )  # fmt: skip
+                state[MARK] += 1
+                state[SWEEPS] += 1
+                state[BLOCK_SWEEPS] += 1
+                spent += block_work
+                state[LARGEST] = max(state[LARGEST], measured[2])
+                state[RESIDUAL] = measured[0]
+                if measured[0] > error and state[BLOCK_SWEEPS] < GIVE_UP:
+                    continue
+                for u in range(first, last):  # what rounding may hide, all along the way
+                    hi[u] = hi[u] + 4.0 * error * stay[u] if measured[0] <= error else highest
+            gap = 0.0
+            for u in range(first, last):
+                gap = max(gap, hi[u] - lo[u])
+            if gap <= allowed or shift <= 17.0 * error or state[BLOCK_SWEEPS] >= GIVE_UP:
+                state[BLOCK] += 1
+                state[PHASE] = START
+                continue
+            for u in range(first, last):
+                hi[u] = lo[u] + state[WIDTH] + shift * stay[u]
+            state[SHIFT] = 0.125 * shift
+            state[PHASE] = VALUE
     return DONE

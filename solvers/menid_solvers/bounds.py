@@ -186,11 +186,13 @@ def _partial(
     if begun and core.discount < 1.0 and state[kernels.BLOCK_SWEEPS] > 0:
         # After a sweep that changed x by at most d: |T(x) - x| <= d and a little, and T contracts.
         x = hi[first:last]
-        change = state[kernels.RESIDUAL] + state[kernels.SHIFT]
+        change = 2.0 * (state[kernels.RESIDUAL] + state[kernels.SHIFT])
         reach = change / (1.0 - core.discount) * (1.0 + 1e-9)
         high = np.minimum(high, x + reach)
         low = np.maximum(low, x - reach - width)
-    elif begun and state[kernels.PHASE] == kernels.VALUE and from_below:
+    elif begun and state[kernels.PHASE] == kernels.UPPER:
+        low = np.maximum(low, lo[first:last])  # certified already
+    elif begun and from_below:
         # Sweeps that started below the values stay below, but for the rounding of each.
         sweeps = state[kernels.BLOCK_SWEEPS] * 9 * (last - first)
         error = kernels.ROUNDING * (core.longest + 8) * state[kernels.LARGEST]
@@ -217,7 +219,7 @@ def _eliminate(
     leaves: Bools,
 ) -> bool:
     """Solve the block at hand by policy iteration; False (and nothing lost) if that is no use."""
-    if sweeps_left == 0.0:
+    if sweeps_left == 0.0 or state[kernels.PHASE] > kernels.DURATION:
         return False
     block = int(state[kernels.BLOCK])
     first, last = int(core.block_first[block]), int(core.block_first[block + 1])

@@ -15,11 +15,11 @@ from menid_solvers.jit import Naturals, kernel
 _ROWS = "i8[::1], i8[::1], u4[::1], f8[::1], f8[::1], f8[::1]"
 
 
-@kernel(f"void(i8, i8, f8, {_ROWS}, f8[::1], i8[::1], f8[::1])")
+@kernel(f"void(i8, i8, b1, {_ROWS}, f8[::1], i8[::1], f8[::1])")
 def sweep_all(
     first: int,
     last: int,
-    shift: float,
+    upward: bool,
     first_row: Ints,
     first_entry: Ints,
     target: Naturals,
@@ -30,7 +30,10 @@ def sweep_all(
     policy: Ints,
     measured: Floats,
 ) -> None:
-    """x[u] = shift + the best of the rows, for each unknown; policy: which it was, lowest first."""
+    """x[u] = the best of the rows, for each unknown; policy: which it was, lowest first.
+
+    With ``upward`` x only rises, and the policy is left alone.
+    """
     rise = 0.0
     fall = 0.0
     largest = 0.0
@@ -44,23 +47,24 @@ def sweep_all(
             if value > best:
                 best = value
                 chosen = i
-        best += shift
         change = best - x[u]
         rise = max(rise, change)
         fall = max(fall, -change)
         largest = max(largest, abs(best))
-        x[u] = best
-        policy[u] = chosen
+        if not upward:
+            x[u] = best
+            policy[u] = chosen
+        elif change > 0.0:
+            x[u] = best
     measured[0] = rise
     measured[1] = fall
     measured[2] = largest
 
 
-@kernel(f"void(i8, i8, f8, {_ROWS}, f8[::1], i8[::1], f8[::1])")
+@kernel(f"void(i8, i8, {_ROWS}, f8[::1], i8[::1])")
 def sweep_policy(
     first: int,
     last: int,
-    shift: float,
     first_row: Ints,  # noqa: ARG001 - all sweeps take the same arrays
     first_entry: Ints,
     target: Naturals,
@@ -69,12 +73,8 @@ def sweep_policy(
     floor: Floats,
     x: Floats,
     policy: Ints,
-    measured: Floats,
 ) -> None:
-    """x[u] = shift + the policy's row, for each unknown."""
-    rise = 0.0
-    fall = 0.0
-    largest = 0.0
+    """x[u] = the policy's row, for each unknown."""
     for u in range(first, last):
         i = policy[u]
         if i < 0:
@@ -83,15 +83,7 @@ def sweep_policy(
             value = constant[i]
             for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
                 value += weight[k] * x[target[k]]
-        value += shift
-        change = value - x[u]
-        rise = max(rise, change)
-        fall = max(fall, -change)
-        largest = max(largest, abs(value))
         x[u] = value
-    measured[0] = rise
-    measured[1] = fall
-    measured[2] = largest
 
 
 @kernel("void(i8, i8, i8[::1], i8[::1], u4[::1], f8[::1], f8[::1], i8[::1], f8[::1])")
@@ -125,6 +117,92 @@ def sweep_stay(
     measured[0] = rise
     measured[1] = fall
     measured[2] = largest
+
+
+@kernel(f"void(i8, i8, f8, {_ROWS}, f8[::1], f8[::1], i8[::1], f8[::1])")
+def sweep_shortest_stay(
+    first: int,
+    last: int,
+    tie: float,
+    first_row: Ints,
+    first_entry: Ints,
+    target: Naturals,
+    weight: Floats,
+    constant: Floats,
+    floor: Floats,
+    x: Floats,
+    stay: Floats,
+    policy: Ints,
+    measured: Floats,
+) -> None:
+    """The same with the row of the shortest stay among those within tie of the best, the policy."""
+    rise = 0.0
+    fall = 0.0
+    largest = 0.0
+    for u in range(first, last):
+        best = floor[u]
+        for i in range(first_row[u], first_row[u + 1]):
+            value = constant[i]
+            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+                value += weight[k] * x[target[k]]
+            best = max(best, value)
+        shortest = np.inf
+        if floor[u] >= best - tie:
+            shortest = 1.0
+            policy[u] = -1
+        for i in range(first_row[u], first_row[u + 1]):
+            value = constant[i]
+            length = 1.0
+            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+                value += weight[k] * x[target[k]]
+                if target[k] >= first:
+                    length += weight[k] * stay[target[k]]
+            if value >= best - tie and length < shortest:
+                shortest = length
+                policy[u] = i
+        change = shortest - stay[u]
+        rise = max(rise, change)
+        fall = max(fall, -change)
+        largest = max(largest, shortest)
+        stay[u] = shortest
+    measured[0] = rise
+    measured[1] = fall
+    measured[2] = largest
+
+
+@kernel(f"void(i8, i8, f8, f8, {_ROWS}, f8[::1], i8[::1])")
+def choose_certified(
+    first: int,
+    last: int,
+    tie: float,
+    margin: float,
+    first_row: Ints,
+    first_entry: Ints,
+    target: Naturals,
+    weight: Floats,
+    constant: Floats,
+    floor: Floats,
+    lo: Floats,
+    policy: Ints,
+) -> None:
+    """The lowest rows within tie of the best that raise lo by margin; else the policy stays.
+
+    Such a policy leaves surely, and is worth lo: lo + margin <= T(lo) in each of its rows.
+    """
+    for u in range(first, last):
+        best = floor[u]
+        for i in range(first_row[u], first_row[u + 1]):
+            value = constant[i]
+            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+                value += weight[k] * lo[target[k]]
+            best = max(best, value)
+        for i in range(first_row[u], first_row[u + 1]):
+            value = constant[i]
+            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+                value += weight[k] * lo[target[k]]
+            if value >= best - tie and value >= lo[u] + margin:
+                policy[u] = i
+                break
 
 
 @kernel(f"void(i8, i8, {_ROWS}, f8[::1], f8[::1], i8[::1], f8[::1])")
