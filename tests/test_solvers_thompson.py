@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -65,7 +66,7 @@ def test_draws_are_kept_when_told() -> None:
     for _ in range(6):
         asked.action(0)
         solutions.append(asked.solution)
-    assert [a is b for a, b in zip(solutions, solutions[1:], strict=False)] == [
+    assert [a is b for a, b in pairwise(solutions)] == [
         True, True, False, True, True,
     ]  # fmt: skip
     assert asked.action(1) == -1

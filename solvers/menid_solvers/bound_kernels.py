@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from menid_plan.mdp.model import Bools, Floats, Ints, SmallInts
+from menid_solvers.guess_kernels import guess_stay, guess_values
 from menid_solvers.jit import Naturals, kernel
 from menid_solvers.sweep_kernels import (
     choose_certified,
     choose_policy,
     slack,
     sweep_all,
-    sweep_policy,
     sweep_shortest_stay,
-    sweep_stay,
+    sweep_taken,
+    take_rows,
 )
 
 _ROWS = "i8[::1], i8[::1], u4[::1], f8[::1], f8[::1], f8[::1]"
@@ -82,8 +83,9 @@ def close_single(
 
 
 @kernel(
-    f"i8({_ROWS}, f8[::1], i8[::1], i4[::1], i8, f8, f8, f8, f8, i8,"
-    " f8[::1], f8[::1], f8[::1], f8[::1], i8[::1], b1[::1])"
+    f"i8({_ROWS}, f8[::1], i8[::1], i4[::1], i8, f8, f8, f8, b1, f8, i8,"
+    " f8[::1], f8[::1], f8[::1], f8[::1], i8[::1], b1[::1],"
+    " i8[::1], u4[::1], f8[::1], f8[::1])"
 )
 def advance(
     first_row: Ints,
@@ -99,6 +101,7 @@ def advance(
     discount: float,
     epsilon: float,
     highest: float,
+    guess: bool,
     work: float,
     sweep_limit: int,
     state: Floats,
@@ -107,6 +110,10 @@ def advance(
     stay: Floats,
     policy: Ints,
     leaves: Bools,
+    taken_first: Ints,
+    taken_target: Naturals,
+    taken_weight: Floats,
+    taken_constant: Floats,
 ) -> int:
     """Enclose blocks from where state stands, until work entries were read; see the module."""
     measured = np.zeros(3)
@@ -144,6 +151,12 @@ def advance(
             state[PHASE] = VALUE
             for u in range(first, last):
                 stay[u] = state[STAY] if discount < 1.0 else 0.0
+            if guess:
+                guess_values(
+                    first, last, first_row, first_entry, target, weight, constant, floor, leak,
+                    hi, leaves,
+                )  # fmt: skip
+                spent += 2 * block_work
         error = ROUNDING * (longest + 8) * state[LARGEST]
         shift = max(state[SHIFT], 16.0 * error)
         state[SHIFT] = shift
@@ -161,12 +174,22 @@ def advance(
             state[LARGEST] = max(state[LARGEST], measured[2])
             state[RESIDUAL] = max(measured[0], measured[1])
             if state[RESIDUAL] > 0.25 * shift:
-                for _ in range(min(8, int(rows / (last - first)) - 1)):  # cheaper than asking all
-                    sweep_policy(
-                        first, last, first_row, first_entry, target, weight, constant, floor,
-                        hi, policy,
+                if rows < 2 * (last - first):
+                    continue
+                enough = max(0.1 * state[RESIDUAL], 0.05 * shift)
+                take_rows(
+                    first, last, first_row, first_entry, target, weight, constant, floor, policy,
+                    taken_first, taken_target, taken_weight, taken_constant,
+                )  # fmt: skip
+                spent += 4 * policy_work
+                for _ in range(min(30, int(3 * rows / (last - first)))):  # cheaper than all rows
+                    sweep_taken(
+                        first, last, taken_first, taken_target, taken_weight, taken_constant,
+                        hi, measured,
                     )  # fmt: skip
                     spent += policy_work
+                    if max(measured[0], measured[1]) <= enough:
+                        break
                 continue
             state[PHASE] = CHECK
             if discount == 1.0:
@@ -175,14 +198,24 @@ def advance(
                     constant, floor, leak, hi, policy, leaves,
                 )  # fmt: skip
                 spent += 2 * block_work
+                if stay[first] == 0.0:
+                    guess_stay(first, last, first_entry, target, weight, leak, stay, policy, leaves)
+                    spent += policy_work
+                take_rows(
+                    first, last, first_row, first_entry, target, weight, constant, floor, policy,
+                    taken_first, taken_target, taken_weight, taken_constant,
+                )  # fmt: skip
+                for j in range(last - first):
+                    taken_constant[j] = 1.0
                 state[MARK] = 0.0
                 state[PHASE] = DURATION
 
         elif state[PHASE] == DURATION:
             if state[MARK] < SHORTEST_AFTER:
-                sweep_stay(
-                    first, last, first_row, first_entry, target, weight, stay, policy, measured
-                )
+                sweep_taken(
+                    first, last, taken_first, taken_target, taken_weight, taken_constant,
+                    stay, measured,
+                )  # fmt: skip
                 spent += policy_work
             else:
                 sweep_shortest_stay(
@@ -194,9 +227,9 @@ def advance(
             state[SWEEPS] += 1
             state[BLOCK_SWEEPS] += 1
             state[RESIDUAL] = max(measured[0], measured[1])
-            if measured[0] > 0.25 or measured[1] > 0.1 * measured[2]:
+            if measured[0] > 0.5 or measured[1] > 0.1 * measured[2]:
                 continue
-            # stay >= 0.75 + P stay: so often the shift is paid until the block is left.
+            # stay >= 0.5 + P stay: so often the shift is paid until the block is left.
             state[STAY] = measured[2]
             wanted = own / (4.0 * state[STAY])
             if wanted < 0.5 * shift:
@@ -258,6 +291,8 @@ def advance(
             for u in range(first, last):
                 gap = max(gap, hi[u] - lo[u])
             if gap <= allowed or shift <= 17.0 * error or state[BLOCK_SWEEPS] >= GIVE_UP:
+                for u in range(first, last):
+                    stay[u] = 0.0
                 state[BLOCK] += 1
                 state[PHASE] = START
                 continue

@@ -105,10 +105,16 @@ def enclose(
     stay = np.zeros(core.unknowns)
     policy = np.full(core.unknowns, -1, np.int64)
     leaves = np.zeros(core.unknowns, np.bool_)
+    taken = (  # a policy's rows; memory that is not written to is never had
+        np.empty(core.unknowns + 1, np.int64), np.empty(len(core.target), np.uint32),
+        np.empty(len(core.target)), np.empty(core.unknowns),
+    )  # fmt: skip
     state = np.zeros(kernels.STATE)
     state[kernels.LARGEST] = np.max(np.abs(core.constant), initial=0.0)
     finite = core.floor[np.isfinite(core.floor)]
     state[kernels.LARGEST] += np.max(np.abs(finite), initial=0.0)
+    # Sweeps from 0 stay below values that are not negative: bounds for whoever stops early.
+    guess = start is None and lowest < 0.0
     pace = _Pace()
     before = limits.iterations
     most = limits.iterations_left
@@ -119,12 +125,16 @@ def enclose(
                 break
             code = kernels.advance(
                 *core.rows(), core.leak, core.block_first, core.depth, core.longest,
-                core.discount, epsilon, highest, WORK, most, state, hi, lo, stay, policy, leaves,
+                core.discount, epsilon, highest, guess, WORK, most, state, hi, lo, stay, policy,
+                leaves, *taken,
             )  # fmt: skip
             limits.iterations = before + int(state[kernels.SWEEPS])
             if code == kernels.SLOW:
                 sweeps = pace.sweeps_left(state)
-                if not _eliminate(core, epsilon, sweeps, state, hi, lo, policy, leaves):
+                at = int(state[kernels.BLOCK])
+                if _eliminate(core, epsilon, sweeps, state, hi, lo, policy, leaves):
+                    stay[core.block_first[at] : core.block_first[at + 1]] = 0.0
+                else:
                     state[kernels.PATIENCE] = 1.5 * state[kernels.BLOCK_SWEEPS]
             if limits.progress is not None:
                 at = int(core.block_first[int(state[kernels.BLOCK])])

@@ -13,6 +13,7 @@ from menid_plan.mdp.model import Bools, Floats, Ints
 from menid_solvers.jit import Naturals, kernel
 
 _ROWS = "i8[::1], i8[::1], u4[::1], f8[::1], f8[::1], f8[::1]"
+_TAKEN = "i8[::1], u4[::1], f8[::1], f8[::1]"
 
 
 @kernel(f"void(i8, i8, b1, {_ROWS}, f8[::1], i8[::1], f8[::1])")
@@ -61,59 +62,66 @@ def sweep_all(
     measured[2] = largest
 
 
-@kernel(f"void(i8, i8, {_ROWS}, f8[::1], i8[::1])")
-def sweep_policy(
+@kernel(f"void(i8, i8, {_ROWS}, i8[::1], {_TAKEN})")
+def take_rows(
     first: int,
     last: int,
-    first_row: Ints,  # noqa: ARG001 - all sweeps take the same arrays
+    first_row: Ints,  # noqa: ARG001 - all that reads rows takes the same arrays
     first_entry: Ints,
     target: Naturals,
     weight: Floats,
     constant: Floats,
     floor: Floats,
-    x: Floats,
     policy: Ints,
+    taken_first: Ints,
+    taken_target: Naturals,
+    taken_weight: Floats,
+    taken_constant: Floats,
 ) -> None:
-    """x[u] = the policy's row, for each unknown."""
+    """Copy the policy's rows side by side, counted from the block's first unknown."""
+    at = 0
+    taken_first[0] = 0
     for u in range(first, last):
         i = policy[u]
         if i < 0:
-            value = floor[u]
+            taken_constant[u - first] = floor[u]
         else:
-            value = constant[i]
+            taken_constant[u - first] = constant[i]
             for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
-                value += weight[k] * x[target[k]]
-        x[u] = value
+                taken_target[at] = target[k]
+                taken_weight[at] = weight[k]
+                at += 1
+        taken_first[u - first + 1] = at
 
 
-@kernel("void(i8, i8, i8[::1], i8[::1], u4[::1], f8[::1], f8[::1], i8[::1], f8[::1])")
-def sweep_stay(
+@kernel(f"void(i8, i8, {_TAKEN}, f8[::1], f8[::1])")
+def sweep_taken(
     first: int,
     last: int,
-    first_row: Ints,  # noqa: ARG001 - all sweeps take the same arrays
-    first_entry: Ints,
-    target: Naturals,
-    weight: Floats,
-    stay: Floats,
-    policy: Ints,
+    taken_first: Ints,
+    taken_target: Naturals,
+    taken_weight: Floats,
+    taken_constant: Floats,
+    x: Floats,
     measured: Floats,
 ) -> None:
-    """stay[u] = 1 + what the policy's row expects of it: sweeps until the block is left."""
+    """x[u] = the policy's row, for each unknown.
+
+    With constants of 1 and an x that is 0 in earlier blocks: the steps until the block is left.
+    """
     rise = 0.0
     fall = 0.0
     largest = 0.0
     for u in range(first, last):
-        i = policy[u]
-        value = 1.0
-        if i >= 0:
-            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
-                if target[k] >= first:
-                    value += weight[k] * stay[target[k]]
-        change = value - stay[u]
+        j = u - first
+        value = taken_constant[j]
+        for k in range(np.uint64(taken_first[j]), np.uint64(taken_first[j + 1])):
+            value += taken_weight[k] * x[taken_target[k]]
+        change = value - x[u]
         rise = max(rise, change)
         fall = max(fall, -change)
-        largest = max(largest, value)
-        stay[u] = value
+        largest = max(largest, abs(value))
+        x[u] = value
     measured[0] = rise
     measured[1] = fall
     measured[2] = largest
@@ -135,7 +143,10 @@ def sweep_shortest_stay(
     policy: Ints,
     measured: Floats,
 ) -> None:
-    """The same with the row of the shortest stay among those within tie of the best, the policy."""
+    """stay[u] = 1 + what the row expects of it that makes it shortest: that is then the policy.
+
+    Of the rows within tie of the best by x; stay is 0 in earlier blocks.
+    """
     rise = 0.0
     fall = 0.0
     largest = 0.0
@@ -155,8 +166,7 @@ def sweep_shortest_stay(
             length = 1.0
             for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
                 value += weight[k] * x[target[k]]
-                if target[k] >= first:
-                    length += weight[k] * stay[target[k]]
+                length += weight[k] * stay[target[k]]
             if value >= best - tie and length < shortest:
                 shortest = length
                 policy[u] = i
