@@ -1,20 +1,278 @@
-"""Numba, typed: the one place that knows it is untyped."""
+"""Kernels: functions over arrays that Numba compiles once and later runs load as machine code.
+
+Numba takes a second to start, more than most problems take to solve, and its own cache does not
+spare a run that. So a kernel is compiled by Numba when it is first needed, and its object code is
+kept on disk; from then on LLVM's loader alone (`llvmlite`) brings it in, in milliseconds.
+
+This asks of a kernel that it allocates nothing and raises nothing: all its memory is handed to it.
+Kernels may call kernels, and refer to numbers of their module.
+"""
 
 from __future__ import annotations
 
+import ctypes
+import hashlib
+import os
+import re
+import sys
+import tempfile
 from collections.abc import Callable
+from contextlib import suppress
+from functools import cached_property, lru_cache
+from importlib.metadata import version
+from pathlib import Path
+from types import FunctionType
 from typing import Any, TypeVar, cast
 
-import numba
+import numpy as np
+from platformdirs import user_cache_path
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
+# Sums may be reordered (whoever bounds rounding allows for any order); infinities keep their meaning.
+_OPTIONS: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",
+    "fastmath": {"reassoc", "contract", "nsz"},
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
+_CTYPES: dict[str, Any] = {
+    "b1": ctypes.c_bool, "i8": ctypes.c_int64, "f8": ctypes.c_double, "u8": ctypes.c_uint64,
+}  # fmt: skip
+_DTYPES = {
+    "b1": np.dtype(np.bool_), "u1": np.dtype(np.uint8), "i4": np.dtype(np.int32),
+    "u4": np.dtype(np.uint32), "i8": np.dtype(np.int64), "u8": np.dtype(np.uint64),
+    "f8": np.dtype(np.float64),
+}  # fmt: skip
+_ENTRY = "menid_kernel"
+# Reference counting remains in the code though nothing is counted: arrays come without an owner.
+_STUBS = "define void @NRT_MemInfo_call_dtor(ptr %x) { ret void }"
+_KNOWN_OUTSIDE = re.compile(r"llvm\.|mem(set|cpy|move)$|(sqrt|log|exp|pow|fabs|floor|ceil|fmod)f?$")
 
-def compiled(function: _Function) -> _Function:
-    """Compile a function on its first call, and keep the result between runs."""
-    return cast("_Function", numba.njit(cache=True, nogil=True)(function))
+
+def kernel(signature: str = "", *, inline: bool = False) -> Callable[[_Function], _Function]:
+    """Compile a function for one signature in Numba's notation (``"i8(f8[::1], b1)"``).
+
+    Without a signature it is a part of the kernels that call it; ``inline`` spares them the call,
+    which hands every field of every array over.
+    """
+
+    def decorate(function: _Function) -> _Function:
+        return cast("_Function", Kernel(cast("FunctionType", function), signature, inline))
+
+    return decorate
 
 
-def inlined(function: _Function) -> _Function:
-    """Compile a function into those that call it: a call hands every field of every array over."""
-    return cast("_Function", numba.njit(inline="always", nogil=True)(function))
+class Kernel:
+    """A compiled function; loaded, or compiled, when it is first called."""
+
+    def __init__(self, function: FunctionType, signature: str, inline: bool) -> None:
+        self.function = function
+        self.signature = signature
+        self.inline = inline
+        self.__doc__ = function.__doc__
+
+    def __call__(self, *args: Any) -> Any:
+        """Run it; arrays must have the types and the number of dimensions of the signature."""
+        flat: list[Any] = []
+        kinds = self._parameters
+        if len(args) != len(kinds):
+            raise TypeError(f"{self.name} takes {len(kinds)} arguments, got {len(args)}")
+        for value, (dtype, dimensions) in zip(args, kinds, strict=True):
+            if dimensions == 0:
+                flat.append(value)
+                continue
+            if (
+                value.dtype != dtype
+                or value.ndim != dimensions
+                or not value.flags.c_contiguous
+            ):  # fmt: skip
+                raise TypeError(
+                    f"{self.name} takes a {dimensions}-d array of {dtype}, "
+                    f"got a {value.ndim}-d array of {value.dtype}"
+                )
+            flat += (None, None, value.size, value.itemsize, value.__array_interface__["data"][0])
+            flat += value.shape
+            flat += value.strides
+        result = self._result()
+        problem = ctypes.c_void_p()
+        code = self._entry(ctypes.byref(result), ctypes.byref(problem), *flat)
+        if code > 0 or code < -2:
+            raise RuntimeError(f"{self.name} stopped with {code}")
+        if self._result_type == "void":
+            return None
+        return tuple(result) if hasattr(result, "_length_") else result.value
+
+    @property
+    def name(self) -> str:
+        """Module and function."""
+        return f"{self.function.__module__}.{self.function.__name__}"
+
+    @cached_property
+    def key(self) -> str:
+        """A hash of all that the compiled code depends on but the machine."""
+        parts = [self.signature, str(self.inline), version("numba"), _source_hash(self.function)]
+        for name in sorted(set(self.function.__code__.co_names)):
+            value = self.function.__globals__.get(name)
+            if isinstance(value, Kernel):
+                parts.append(value.key)
+            elif isinstance(value, (int, float)):
+                parts.append(f"{name}={value!r}")
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """The function as Numba takes it, with those that it calls."""
+        import numba
+
+        names = dict(self.function.__globals__)
+        for name in self.function.__code__.co_names:
+            if isinstance(names.get(name), Kernel):
+                names[name] = names[name].dispatcher
+        copy = FunctionType(self.function.__code__, names, self.function.__name__)
+        options = {**_OPTIONS, "inline": "always"} if self.inline else _OPTIONS
+        return numba.njit(**options)(copy)
+
+    # ------------------------------------------------------------------------ calling
+
+    @cached_property
+    def _result_type(self) -> str:
+        return self.signature[: self.signature.index("(", 9 if "Tuple" in self.signature else 0)]
+
+    @cached_property
+    def _result(self) -> Any:
+        """What the result is written into: a number, or several of one type."""
+        several = re.fullmatch(r"UniTuple\((\w+), (\d)\)", self._result_type)
+        if several:
+            return _CTYPES[several[1]] * int(several[2])
+        return _CTYPES.get(self._result_type, ctypes.c_void_p)
+
+    @cached_property
+    def _parameters(self) -> list[tuple[Any, int]]:
+        """The type and the number of dimensions (0: a number) of each parameter."""
+        inside = self.signature[len(self._result_type) + 1 : -1]
+        found: list[tuple[Any, int]] = []
+        for text in re.split(r",\s*(?![^\[]*\])", inside):
+            base, _, rest = text.partition("[")
+            if rest:
+                found.append((_DTYPES[base], rest.count(",") + 1))
+            else:
+                found.append((_CTYPES[base], 0))
+        return found
+
+    @cached_property
+    def _entry(self) -> Any:
+        """The machine code as a function of C.
+
+        It gets where to put the result and an exception; of each array the owner and the object
+        (none), size, item size, data, shape and strides.
+        """
+        pointer, number = ctypes.c_void_p, ctypes.c_int64
+        types: list[Any] = [pointer, pointer]
+        for kind, dimensions in self._parameters:
+            if dimensions:
+                types += [pointer, pointer, number, number, pointer] + [number] * 2 * dimensions
+            else:
+                types.append(kind)
+        return ctypes.CFUNCTYPE(ctypes.c_int32, *types)(self._load())
+
+    # ----------------------------------------------------------------- compiling and loading
+
+    def _load(self) -> int:
+        """The address of the machine code."""
+        import llvmlite.binding as llvm
+
+        machine, mark = _machine()
+        prefix = f"{self.name}.{mark}"
+        kept = f"{prefix}-{self.key[:20]}.o"
+        code = None
+        for folder in _folders():
+            with suppress(OSError):
+                content = (folder / kept).read_bytes()
+                if hashlib.sha256(content[32:]).digest() == content[:32]:
+                    code = content[32:]
+                    break
+        if code is None:
+            code = self._compile()
+            _keep(kept, prefix, hashlib.sha256(code).digest() + code)
+        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine())
+        engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+        engine.finalize_object()
+        self._engine = engine  # the code lives as long as its engine
+        return int(engine.get_function_address(_ENTRY))
+
+    def _compile(self) -> bytes:
+        """The object code."""
+        import llvmlite.binding as llvm
+
+        _announce()
+        self.dispatcher.compile(self.signature)
+        ((arguments, result),) = self.dispatcher.overloads.items()
+        module = llvm.parse_assembly(self.dispatcher.inspect_llvm(arguments))
+        module.link_in(llvm.parse_assembly(_STUBS))
+        for function in module.functions:
+            if function.is_declaration and not _KNOWN_OUTSIDE.match(function.name):
+                raise TypeError(f"{self.name} is no kernel: it needs {function.name}")
+        module.get_function(result.fndesc.llvm_func_name).name = _ENTRY
+        code: bytes = _machine()[0]().emit_object(module)
+        return code
+
+
+@lru_cache(maxsize=1)
+def _machine() -> tuple[Callable[[], Any], str]:
+    """How to make LLVM's description of this machine, and a short mark of it."""
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    triple = llvm.get_process_triple()
+    cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    mark = hashlib.sha256("\n".join((triple, cpu, features)).encode()).hexdigest()[:8]
+
+    def make() -> Any:
+        target = llvm.Target.from_triple(triple)
+        return target.create_target_machine(
+            cpu=cpu, features=features, opt=3, codemodel="jitdefault", jit=True
+        )
+
+    return make, mark
+
+
+@lru_cache(maxsize=1)
+def _folders() -> tuple[Path, ...]:
+    """Where object code is kept: beside the bytecode, or, if that can't be written, with the user."""
+    return (
+        Path(__file__).parent / "__pycache__",
+        user_cache_path("menid-plan"),
+    )
+
+
+def _keep(name: str, prefix: str, content: bytes) -> None:
+    """Write to the first folder that takes it, whole or not at all; what it replaces goes."""
+    for folder in _folders():
+        with suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.NamedTemporaryFile(dir=folder, delete=False) as stream:
+                stream.write(content)
+            os.replace(stream.name, folder / name)
+            for old in folder.glob(f"{prefix}-*.o"):
+                if old.name != name:
+                    old.unlink(missing_ok=True)
+            return
+
+
+@lru_cache(maxsize=1)
+def _announce() -> None:
+    """Tell who watches that this takes long once."""
+    if sys.stderr.isatty():
+        print("compiling, as this is the first run: half a minute", file=sys.stderr)
+
+
+@lru_cache(maxsize=64)
+def _file_hash(path: str) -> str:
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def _source_hash(function: FunctionType) -> str:
+    return _file_hash(function.__code__.co_filename)

@@ -44,6 +44,8 @@ ALLOWED = {
 ONLY_IN = {
     "lark": {"menid_plan.language.grammar"},
     "click": {"menid_plan.cli"},
+    "llvmlite": {"menid_plan.compiled"},
+    "numba": {"menid_plan.compiled"},
     "rich": {"menid_plan.cli"},
     "pybullet": {"menid_plan.environments.hdd"},
 }
@@ -125,6 +127,22 @@ def test_check_loads_nothing_heavy() -> None:
     heavy = {"numpy", "scipy", "networkx", "numba", "pybullet", "rich", "matplotlib", "difflib"}
     assert heavy & set(loaded) == set()
     assert "lark" in loaded
+
+
+def test_solving_again_loads_machine_code_only() -> None:
+    program = (
+        "import sys; from click.testing import CliRunner; from menid_plan.cli.main import main;"
+        "files = ['domains/hdd/domain.menid', 'domains/hdd/bench.menid'];"
+        "result = CliRunner().invoke(main, ['solve', *files]);"
+        "assert result.exit_code == 0, result.output;"
+        "print(*{name.split('.')[0] for name in sys.modules})"
+    )
+    for _ in range(2):  # the first run may have to compile
+        loaded = subprocess.run(
+            [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
+        ).stdout.split()
+    assert {"numba", "scipy", "networkx", "rich"} & set(loaded) == set()
+    assert {"llvmlite", "numpy"} <= set(loaded)
 
 
 def test_files_stay_small() -> None:

@@ -8,7 +8,7 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from menid_plan.mdp.model import MDP
@@ -64,7 +64,7 @@ OBJECTIVES = [
 
 
 @pytest.mark.parametrize(("objective", "discount"), OBJECTIVES)
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
 @given(processes())
 def test_value_iteration_is_right(
     objective: str, discount: Fraction, drawn: tuple[Process, list[int]]
@@ -99,7 +99,7 @@ def test_value_iteration_is_right(
     assert all(encloses(warm, s, float(value)) for s, value in enumerate(expected))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
 @given(processes())
 def test_goal_then_reward_is_right(drawn: tuple[Process, list[int]]) -> None:
     process, goal = drawn
@@ -120,7 +120,7 @@ def test_goal_then_reward_is_right(drawn: tuple[Process, list[int]]) -> None:
 
 
 @pytest.mark.parametrize("objective", ["reward", "goal-probability", "goal-then-reward", "steps"])
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
 @given(processes(), st.sampled_from([1.0, 0.9]))
 def test_policy_iteration_agrees(
     objective: str, drawn: tuple[Process, list[int]], discount: float
@@ -130,7 +130,7 @@ def test_policy_iteration_agrees(
 
 @pytest.mark.skipif(find_spec("stormpy") is None, reason="stormpy is not installed")
 @pytest.mark.parametrize("objective", ["reward", "goal-probability", "goal-then-reward", "steps"])
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
 @given(processes(), st.sampled_from([1.0, 0.9]), st.sampled_from([None, 0, 1, 4]))
 def test_storm_agrees(
     objective: str, drawn: tuple[Process, list[int]], discount: float, horizon: int | None
@@ -182,7 +182,7 @@ def rolled_out(process: Process, goal: list[int], objective: str, horizon: int) 
 
 
 @pytest.mark.parametrize("objective", ["reward", "goal-probability"])
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
 @given(processes(), st.integers(0, 6))
 def test_horizons(objective: str, drawn: tuple[Process, list[int]], horizon: int) -> None:
     process, goal = drawn

@@ -134,6 +134,9 @@ class _Search:
         self.next_state = np.zeros(4 * size, np.int32)
         self.slot = np.zeros(4 * size, np.int32)
         self.clash = np.zeros(3, np.int64)
+        self.room = [
+            np.zeros(size, np.uint64) for size in (problem.tables.extended_words, *[words] * 3)
+        ]
         kernel.rehash(self.table, self.words, 1)
 
     def run(self, progress: Progress | None) -> None:
@@ -167,7 +170,7 @@ class _Search:
     def _call(self) -> int:
         t = self.problem.tables
         return kernel.explore(
-            t.words, t.extended_words, t.entry_word, t.entry_mask, t.entry_value, t.op_kind,
+            t.words, t.entry_word, t.entry_mask, t.entry_value, t.op_kind,
             t.op_number, t.op_entries, t.op_word, t.op_bit, t.segment_ops, t.segment_loops,
             t.rule_entries, t.rule_outcomes, t.rule_action, t.outcome_slot, t.outcome_noise,
             t.outcome_delete, t.outcome_add,
@@ -176,6 +179,7 @@ class _Search:
             self.happens, self.to_sink, self.max_states,
             self.counts, self.table, self.words, self.state_row, self.goal, self.reward,
             self.row_rule, self.row_transition, self.next_state, self.slot, _BATCH, self.clash,
+            *self.room,
         )  # fmt: skip
 
     def _rule_text(self, number: int) -> str:

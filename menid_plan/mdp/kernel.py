@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from menid_plan.compiled import compiled, inlined
+from menid_plan.compiled import kernel
 
 # Why the kernel came back.
 DONE, BATCH, STATES_FULL, ROWS_FULL, TRANSITIONS_FULL, TABLE_FULL, CONFLICT, UNKNOWN, LIMIT = range(
@@ -19,7 +19,7 @@ NEVER, HAPPENS, MISSING = 0, 1, 2
 SINK_STATE = -1
 
 
-@inlined
+@kernel(inline=True)
 def matches(extended: Any, begin: int, end: int, word: Any, mask: Any, value: Any) -> bool:
     """Whether an extended state is in the cube of some entries."""
     for entry in range(begin, end):  # noqa: SIM110 - Numba has no generators
@@ -28,7 +28,7 @@ def matches(extended: Any, begin: int, end: int, word: Any, mask: Any, value: An
     return True
 
 
-@compiled
+@kernel()
 def count_bits(extended: Any, begin: int, end: int, word: Any, mask: Any, value: Any) -> int:
     """How many of the bits that some entries look at are as they say."""
     total = 0
@@ -40,7 +40,7 @@ def count_bits(extended: Any, begin: int, end: int, word: Any, mask: Any, value:
     return total
 
 
-@compiled
+@kernel()
 def extend(
     extended: Any, words: int, word: Any, mask: Any, value: Any, op_kind: Any, op_number: Any,
     op_entries: Any, op_word: Any, op_bit: Any, segment_ops: Any, segment_loops: Any,
@@ -69,7 +69,7 @@ def extend(
             again &= segment_loops[segment] != 0
 
 
-@inlined
+@kernel(inline=True)
 def hash_words(words: Any, count: int) -> Any:
     """A well-mixed hash of some words (the finaliser of SplitMix64, Steele et al. 2014)."""
     h = np.uint64(0x9E3779B97F4A7C15)
@@ -81,7 +81,7 @@ def hash_words(words: Any, count: int) -> Any:
     return h
 
 
-@inlined
+@kernel(inline=True)
 def find_or_add(table: Any, states: Any, found: int, key: Any, words: int) -> int:
     """The number of a state; ``found``, and the state added under it, if it is new."""
     size = np.uint64(len(table) - 1)
@@ -103,7 +103,7 @@ def find_or_add(table: Any, states: Any, found: int, key: Any, words: int) -> in
         at = (at + np.uint64(1)) & size
 
 
-@compiled
+@kernel("void(i4[::1], u8[:, ::1], i8)")
 def rehash(table: Any, states: Any, found: int) -> None:
     """Fill an empty table with the states found so far."""
     size = np.uint64(len(table) - 1)
@@ -115,10 +115,25 @@ def rehash(table: Any, states: Any, found: int) -> None:
         table[at] = number
 
 
-@compiled
+@kernel(inline=True)
+def note(counts: Any, state: int, found: int, rows: int, transitions: int) -> None:
+    """Write down how far the search is."""
+    counts[0] = state
+    counts[1] = found
+    counts[2] = rows
+    counts[3] = transitions
+
+
+@kernel(
+    "i8(i8, i4[::1], u8[::1], u8[::1], u1[::1], i4[::1], i4[::1], i4[::1], u8[::1], i4[::1],"
+    " u1[::1], i4[::1], i4[::1], i4[::1], i4[::1], u1[::1], u8[:, ::1], u8[:, ::1], i4[::1],"
+    " i4[::1], i4[::1], i4[::1], u8[::1], u8[::1], i4[::1], f8[::1], i4[::1], u1[::1], b1, i8,"
+    " i8[::1], i4[::1], u8[:, ::1], i8[::1], b1[::1], f8[::1], i4[::1], i8[::1], i4[::1], i4[::1],"
+    " i8, i8[::1], u8[::1], u8[::1], u8[::1], u8[::1])"
+)
 def explore(
     # What is known of the problem (see grounding.ground.Tables).
-    words: int, extended_words: int, word: Any, mask: Any, value: Any, op_kind: Any,
+    words: int, word: Any, mask: Any, value: Any, op_kind: Any,
     op_number: Any, op_entries: Any, op_word: Any, op_bit: Any, segment_ops: Any,
     segment_loops: Any, rule_entries: Any, rule_outcomes: Any, rule_action: Any,
     outcome_slot: Any, outcome_noise: Any, outcome_delete: Any, outcome_add: Any,
@@ -129,24 +144,22 @@ def explore(
     # What has been found, and how far: counts = [next to expand, states, rows, transitions].
     counts: Any, table: Any, states: Any, state_row: Any, goal: Any, state_reward: Any,
     row_rule: Any, row_transition: Any, next_state: Any, slot: Any, batch: int, clash: Any,
+    # Room to work in: extended_words, and three times words.
+    extended: Any, successor: Any, delete: Any, add: Any,
 ) -> int:  # fmt: skip
     """Expand states until something is full, or ``batch`` of them are done; says why it stopped.
 
     A state is expanded whole or not at all, so that the search goes on after an array has grown.
     """
-    extended = np.zeros(extended_words, np.uint64)
-    successor = np.zeros(words, np.uint64)
-    delete = np.zeros(words, np.uint64)
-    add = np.zeros(words, np.uint64)
     state, found, rows, transitions = counts[0], counts[1], counts[2], counts[3]
     last = state + batch
     rules, outcomes = len(rule_action), len(outcome_slot)
     while state < found:
         if found > max_states:
-            counts[:] = (state, found, rows, transitions)
+            note(counts, state, found, rows, transitions)
             return LIMIT
         if state == last:
-            counts[:] = (state, found, rows, transitions)
+            note(counts, state, found, rows, transitions)
             return BATCH
         first_row, first_transition = rows, transitions
         for i in range(words):
@@ -164,24 +177,24 @@ def explore(
             extended, goal_entries[0], goal_entries[1], word, mask, value
         )
         if found + outcomes > len(states):
-            counts[:] = (state, found, first_row, first_transition)
+            note(counts, state, found, first_row, first_transition)
             return STATES_FULL
         if 2 * (found + outcomes) > len(table):
-            counts[:] = (state, found, first_row, first_transition)
+            note(counts, state, found, first_row, first_transition)
             return TABLE_FULL
         if rows + rules > len(row_rule):
-            counts[:] = (state, found, first_row, first_transition)
+            note(counts, state, found, first_row, first_transition)
             return ROWS_FULL
         if transitions + outcomes > len(next_state):
-            counts[:] = (state, found, first_row, first_transition)
+            note(counts, state, found, first_row, first_transition)
             return TRANSITIONS_FULL
         previous = -1
         for rule in range(rules if not goal[state] else 0):
             if not matches(extended, rule_entries[rule], rule_entries[rule + 1], word, mask, value):
                 continue
             if previous >= 0 and rule_action[rule] == rule_action[previous]:
-                clash[:] = (state, previous, rule)
-                counts[:] = (state, found, first_row, first_transition)
+                clash[0], clash[1], clash[2] = state, previous, rule
+                note(counts, state, found, first_row, first_transition)
                 return CONFLICT
             previous = rule
             for outcome in range(rule_outcomes[rule], rule_outcomes[rule + 1]):
@@ -189,8 +202,8 @@ def explore(
                 if known == 0:
                     continue
                 if known == 2:
-                    clash[:] = (state, rule, rule)
-                    counts[:] = (state, found, first_row, first_transition)
+                    clash[0], clash[1], clash[2] = state, rule, rule
+                    note(counts, state, found, first_row, first_transition)
                     return UNKNOWN
                 if outcome_noise[outcome]:
                     number = SINK_STATE if noise_to_sink else state
@@ -223,5 +236,5 @@ def explore(
             row_transition[rows] = transitions
         state += 1
         state_row[state] = rows
-    counts[:] = (state, found, rows, transitions)
+    note(counts, state, found, rows, transitions)
     return DONE

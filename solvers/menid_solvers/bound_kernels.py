@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from menid_plan.mdp.model import Bools, Floats, Ints, SmallInts
+from menid_plan.compiled import kernel
+from menid_plan.mdp.model import Bools, Floats, Ints, Naturals, SmallInts
 from menid_solvers.guess_kernels import guess_stay, guess_values
-from menid_solvers.jit import Naturals, kernel
 from menid_solvers.sweep_kernels import (
     choose_certified,
     choose_policy,
@@ -85,7 +85,7 @@ def close_single(
 @kernel(
     f"i8({_ROWS}, f8[::1], i8[::1], i4[::1], i8, f8, f8, f8, b1, f8, i8,"
     " f8[::1], f8[::1], f8[::1], f8[::1], i8[::1], b1[::1],"
-    " i8[::1], u4[::1], f8[::1], f8[::1])"
+    " i8[::1], u4[::1], f8[::1], f8[::1], f8[::1])"
 )
 def advance(
     first_row: Ints,
@@ -114,9 +114,9 @@ def advance(
     taken_target: Naturals,
     taken_weight: Floats,
     taken_constant: Floats,
+    measured: Floats,
 ) -> int:
     """Enclose blocks from where state stands, until work entries were read; see the module."""
-    measured = np.zeros(3)
     blocks = len(depth)
     deepest = 1
     for b in range(blocks):

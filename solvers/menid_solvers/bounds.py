@@ -109,7 +109,7 @@ def enclose(
         np.empty(core.unknowns + 1, np.int64), np.empty(len(core.target), np.uint32),
         np.empty(len(core.target)), np.empty(core.unknowns),
     )  # fmt: skip
-    state = np.zeros(kernels.STATE)
+    state, measured = np.zeros(kernels.STATE), np.zeros(3)
     state[kernels.LARGEST] = np.max(np.abs(core.constant), initial=0.0)
     finite = core.floor[np.isfinite(core.floor)]
     state[kernels.LARGEST] += np.max(np.abs(finite), initial=0.0)
@@ -126,7 +126,7 @@ def enclose(
             code = kernels.advance(
                 *core.rows(), core.leak, core.block_first, core.depth, core.longest,
                 core.discount, epsilon, highest, guess, WORK, most, state, hi, lo, stay, policy,
-                leaves, *taken,
+                leaves, *taken, measured,
             )  # fmt: skip
             limits.iterations = before + int(state[kernels.SWEEPS])
             if code == kernels.SLOW:
@@ -247,13 +247,15 @@ def _eliminate(
     part = slice(first, last)
     x = hi.copy()
     choose_policy(first, last, state[kernels.SHIFT], *core.rows(), core.leak, x, policy, leaves)
-    answer = np.empty((last - first, 3))
+    n = last - first
+    answer = np.empty((n, 3))
+    room = np.empty((n, 2 * band + 1)), np.empty(n), np.empty(n)
     leaving = policy[part].copy()
     scale = 1.0
     for _ in range(int(rounds)):
         state[kernels.SWEEPS] += 1
         if not elimination.solve_policy(
-            first, last, band, *core.rows(), core.leak, hi, lo, policy, answer
+            first, last, band, *core.rows(), core.leak, hi, lo, policy, answer, *room
         ):
             # Staying costs less than the shift pays for it: a smaller one.
             policy[part] = leaving

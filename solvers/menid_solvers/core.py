@@ -18,10 +18,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from menid_plan.mdp.model import MDP, Bools, Floats, Ints, SmallInts
+from menid_plan.mdp.model import MDP, Bools, Floats, Ints, Naturals, SmallInts
 from menid_solvers import core_kernels as kernels
 from menid_solvers.graph import components
-from menid_solvers.jit import Naturals
 
 Rows: TypeAlias = tuple[Ints, Ints, Naturals, Floats, Floats, Floats]
 
@@ -100,8 +99,9 @@ def build_core(
     member_first = np.empty(n + 1, np.int64)
     block_first = np.empty(number + 1, np.int64)
     unknowns, blocks = kernels.number_unknowns(
-        component, number, known, merged, unknown, member, member_first, block_first
-    )
+        component, number, known, merged, unknown, member, member_first, block_first,
+        np.empty(number + 1, np.int64), np.empty(n, np.int32), np.empty(n, np.int32),
+    )  # fmt: skip
     counts = rows if inside is None else rows & ~inside
     first_row = np.empty(unknowns + 1, np.int64)
     first_entry = np.zeros(mdp.rows + 1, np.int64)
@@ -115,6 +115,7 @@ def build_core(
         mdp.state_row, mdp.row_transition, mdp.next_state, mdp.probability, counts, reward,
         known_value, discount, unknown, member, member_first, block_first, blocks,
         first_row, first_entry, source, constant, leak, target, weight, depth,
+        np.empty(unknowns, np.int32), np.empty(unknowns, np.int64),
     )  # fmt: skip
     floor = np.full(unknowns, -np.inf)
     if stop is not None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from menid_plan.mdp.model import Bools, Floats, Ints, SmallInts
-from menid_solvers.jit import Naturals, kernel
+from menid_plan.compiled import kernel
+from menid_plan.mdp.model import Bools, Floats, Ints, Naturals, SmallInts
 
 
-@kernel("UniTuple(i8, 2)(i4[::1], i8, b1[::1], i4[::1], i4[::1], i4[::1], i8[::1], i8[::1])")
+@kernel(
+    "UniTuple(i8, 2)(i4[::1], i8, b1[::1], i4[::1], i4[::1], i4[::1], i8[::1], i8[::1],"
+    " i8[::1], i4[::1], i4[::1])"
+)
 def number_unknowns(
     component: SmallInts,
     components: int,
@@ -18,6 +21,9 @@ def number_unknowns(
     member: SmallInts,
     member_first: Ints,
     block_first: Ints,
+    start: Ints,
+    listed: SmallInts,
+    shared: SmallInts,
 ) -> tuple[int, int]:
     """Number the unknowns: components in order, within one the highest state first.
 
@@ -26,23 +32,23 @@ def number_unknowns(
     Returns how many unknowns and blocks there are.
     """
     n = len(component)
-    start = np.zeros(components + 1, np.int64)
+    start[:] = 0  # room of components + 1, as listed and shared of n
     for s in range(n):
         if not known[s]:
             start[component[s] + 1] += 1
     for c in range(components):
         start[c + 1] += start[c]
-    listed = np.empty(start[components], np.int32)
+    number = start[components]
     for s in range(n - 1, -1, -1):
         if not known[s]:
             listed[start[component[s]]] = s
             start[component[s]] += 1
-    shared = np.full(n, -1, np.int32)
+    shared[:] = -1
     unknowns = 0
     blocks = 0
     current = -1
     unknown[:] = -1
-    for k in range(len(listed)):
+    for k in range(number):
         s = listed[k]
         if component[s] != current:
             current = component[s]
@@ -58,11 +64,11 @@ def number_unknowns(
         unknowns += 1
     block_first[blocks] = unknowns
     member_first[: unknowns + 1] = 0
-    for k in range(len(listed)):
+    for k in range(number):
         member_first[unknown[listed[k]] + 1] += 1
     for u in range(unknowns):
         member_first[u + 1] += member_first[u]
-    for k in range(len(listed)):
+    for k in range(number):
         u = unknown[listed[k]]
         member[member_first[u]] = listed[k]
         member_first[u] += 1
@@ -75,7 +81,8 @@ def number_unknowns(
 @kernel(
     "UniTuple(i8, 3)(i8[::1], i8[::1], i4[::1], f8[::1], b1[::1], f8[::1], f8[::1], f8,"
     " i4[::1], i4[::1], i8[::1], i8[::1], i8,"
-    " i8[::1], i8[::1], i8[::1], f8[::1], f8[::1], u4[::1], f8[::1], i4[::1])"
+    " i8[::1], i8[::1], i8[::1], f8[::1], f8[::1], u4[::1], f8[::1], i4[::1],"
+    " i4[::1], i8[::1])"
 )
 def compile_rows(
     state_row: Ints,
@@ -99,6 +106,8 @@ def compile_rows(
     target: Naturals,
     weight: Floats,
     depth: SmallInts,
+    block_of: SmallInts,
+    place: Ints,
 ) -> tuple[int, int, int]:
     """Write the rows of every unknown: loops solved for, known values put in, doubles merged.
 
@@ -106,8 +115,7 @@ def compile_rows(
     included. Returns the numbers of rows and entries, and the most entries of a row.
     """
     unknowns = block_first[blocks]
-    block_of = np.empty(unknowns, np.int32)
-    place = np.full(unknowns, -1, np.int64)  # of an entry in the row at hand
+    place[:] = -1  # of an entry in the row at hand; room of unknowns, as block_of
     rows = 0
     entries = 0
     longest = 0

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from menid_plan.mdp.model import Floats, Ints
-from menid_solvers.jit import Naturals, kernel
+from menid_plan.compiled import kernel
+from menid_plan.mdp.model import Floats, Ints, Naturals
 
 _ROWS = "i8[::1], i8[::1], u4[::1], f8[::1], f8[::1], f8[::1]"
 
@@ -25,7 +25,10 @@ def bandwidth(first: int, last: int, first_row: Ints, first_entry: Ints, target:
     return widest
 
 
-@kernel(f"b1(i8, i8, i8, {_ROWS}, f8[::1], f8[::1], f8[::1], i8[::1], f8[:, ::1])")
+@kernel(
+    f"b1(i8, i8, i8, {_ROWS}, f8[::1], f8[::1], f8[::1], i8[::1],"
+    " f8[:, ::1], f8[:, ::1], f8[::1], f8[::1])"
+)
 def solve_policy(
     first: int,
     last: int,
@@ -41,6 +44,9 @@ def solve_policy(
     lo: Floats,
     policy: Ints,
     answer: Floats,
+    rate: Floats,
+    out: Floats,
+    total: Floats,
 ) -> bool:
     """The policy's values in a block, for upper and lower values around it, and its duration.
 
@@ -48,8 +54,7 @@ def solve_policy(
     sweeps of the shift until the block is left. False if the policy may never leave it.
     """
     n = last - first
-    rate = np.zeros((n, 2 * band + 1))  # rate[j, band + d]: from first + j to first + j + d
-    out = np.zeros(n)
+    rate[:, :] = 0.0  # rate[j, band + d]: from first + j to first + j + d
     for j in range(n):
         u = first + j
         i = policy[u]
@@ -72,7 +77,6 @@ def solve_policy(
                 out[j] += weight[k]
         answer[j, 0] = above
         answer[j, 1] = below
-    total = np.zeros(n)
     for j in range(n):
         width = min(band, n - 1 - j)
         total[j] = out[j]

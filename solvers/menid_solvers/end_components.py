@@ -96,7 +96,7 @@ def _gain_sign(
             potential[members] = h[members]
             return 0 if bool(np.any(left == 0.0)) else -1
     x = np.zeros(mdp.states)
-    least, most = kernels.gain(*graph, members, 1e-12 * scale, SWEEPS, x)
+    least, most = kernels.gain(*graph, members, 1e-12 * scale, SWEEPS, x, np.empty(len(members)))
     margin = 1e-12 * scale + 1e-14 * float(np.max(np.abs(x)))
     if least > margin:
         return 1

@@ -65,6 +65,7 @@ def reach_goal(
     kernels.steer(
         mdp.state_row, mdp.row_transition, mdp.next_state, mdp.probability,
         back.first, back.row, back.row_state, sure_rows, goal, stage.policy,
+        np.empty(mdp.states, np.int32), np.empty(mdp.states, np.int32),
     )  # fmt: skip
     if not bool(settled.all()):
         between = rows & ~settled[back.row_state]

@@ -34,18 +34,24 @@ class Predecessors:
     def reaching(self, rows: Bools, targets: Bools) -> Bools:
         """The states (bool[n]) from which targets can be reached by some choice of the rows."""
         found = targets.copy()
-        kernels.reach(self.first, self.row, self.row_state, rows, found)
+        kernels.reach(
+            self.first, self.row, self.row_state, rows, found, np.empty_like(found, np.int32)
+        )
         return found
 
     def without(self, mdp: MDP, rows: Bools, gone: Bools) -> None:
         """Take out, in place, rows that may lead to gone states and states left without rows."""
-        kernels.attract_rows(mdp.state_row, self.first, self.row, self.row_state, rows, gone)
+        kernels.attract_rows(
+            mdp.state_row, self.first, self.row, self.row_state, rows, gone,
+            np.empty(mdp.states, np.int64), np.empty(mdp.states, np.int32),
+        )  # fmt: skip
 
 
 def components(mdp: MDP, rows: Bools) -> tuple[int, SmallInts]:
     """How many strongly connected components, and each state's; edges lead to no higher number."""
     component = np.empty(mdp.states, np.int32)
-    return kernels.strong_components(*_graph(mdp, rows), component), component
+    room = np.empty((4, mdp.states), np.int32), np.empty((2, mdp.states), np.int64)
+    return kernels.strong_components(*_graph(mdp, rows), component, *room), component
 
 
 def sure_reach(mdp: MDP, back: Predecessors, rows: Bools, targets: Bools) -> tuple[Bools, Bools]:
@@ -70,10 +76,9 @@ def end_components(mdp: MDP, back: Predecessors, rows: Bools) -> tuple[SmallInts
     Returns each state's component (int32[n], -1 for none) and the rows inside (bool[r]).
     """
     rows = rows.copy()
-    component = np.empty(mdp.states, np.int32)
     gone = np.empty(mdp.states, np.bool_)
     while True:
-        kernels.strong_components(*_graph(mdp, rows), component)
+        _, component = components(mdp, rows)
         taken = kernels.rows_that_leave(*_graph(mdp, rows), component, gone)
         back.without(mdp, rows, gone)
         if taken == 0:

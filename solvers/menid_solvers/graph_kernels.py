@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from menid_plan.compiled import kernel
 from menid_plan.mdp.model import Bools, Floats, Ints, SmallInts
-from menid_solvers.jit import kernel
 
 _GRAPH = "i8[::1], i8[::1], i4[::1], f8[::1], b1[::1]"
 
 
-@kernel(f"i8({_GRAPH}, i4[::1])")
+@kernel(f"i8({_GRAPH}, i4[::1], i4[:, ::1], i8[:, ::1])")
 def strong_components(
     state_row: Ints,
     row_transition: Ints,
@@ -22,18 +22,18 @@ def strong_components(
     probability: Floats,
     row_counts: Bools,
     component: SmallInts,
+    room: SmallInts,
+    places: Ints,
 ) -> int:
     """Number the strongly connected components so that edges never lead to a higher number.
 
-    Writes component (int32[n]) and returns how many there are. Tarjan 1972, without recursion.
+    Writes component (int32[n]) and returns how many there are. Tarjan 1972, without recursion;
+    ``room`` (int32[4, n]) and ``places`` (int64[2, n]) are to work in.
     """
     n = len(state_row) - 1
-    index = np.zeros(n, np.int32)  # order of discovery from 1; 0 is unseen
-    low = np.zeros(n, np.int32)
-    row_at = np.empty(n, np.int64)  # where the visit of a state goes on
-    entry_at = np.empty(n, np.int64)
-    path = np.empty(n, np.int32)
-    stack = np.empty(n, np.int32)
+    index, low, path, stack = room[0], room[1], room[2], room[3]
+    row_at, entry_at = places[0], places[1]  # where the visit of a state goes on
+    index[:] = 0  # order of discovery from 1; 0 is unseen
     component[:] = -1
     seen = 0
     found = 0
@@ -136,7 +136,7 @@ def predecessors(
     first[0] = 0
 
 
-@kernel("void(i8[::1], i8[::1], i4[::1], i4[::1], b1[::1], b1[::1])")
+@kernel("void(i8[::1], i8[::1], i4[::1], i4[::1], b1[::1], b1[::1], i8[::1], i4[::1])")
 def attract_rows(
     state_row: Ints,
     first: Ints,
@@ -144,18 +144,19 @@ def attract_rows(
     row_state: SmallInts,
     row_counts: Bools,
     gone: Bools,
+    left: Ints,
+    queue: SmallInts,
 ) -> None:
     """Take out every row that may lead to a gone state, and every state left without a row.
 
     Changes row_counts and gone in place; a state that had no rows at all stays unless it is gone.
     """
     n = len(state_row) - 1
-    left = np.zeros(n, np.int64)
+    left[:] = 0  # room of n, as queue
     for s in range(n):
         for r in range(state_row[s], state_row[s + 1]):
             if row_counts[r]:
                 left[s] += 1
-    queue = np.empty(n, np.int32)
     tail = 0
     for s in range(n):
         if gone[s]:
@@ -177,13 +178,17 @@ def attract_rows(
                     tail += 1
 
 
-@kernel("void(i8[::1], i4[::1], i4[::1], b1[::1], b1[::1])")
+@kernel("void(i8[::1], i4[::1], i4[::1], b1[::1], b1[::1], i4[::1])")
 def reach(
-    first: Ints, row: SmallInts, row_state: SmallInts, row_counts: Bools, found: Bools
+    first: Ints,
+    row: SmallInts,
+    row_state: SmallInts,
+    row_counts: Bools,
+    found: Bools,
+    queue: SmallInts,
 ) -> None:
     """Add to found every state from which a found one can be reached by rows that count."""
     n = len(found)
-    queue = np.empty(n, np.int32)
     tail = 0
     for s in range(n):
         if found[s]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from menid_plan.compiled import kernel
 from menid_plan.mdp.model import Bools, Floats, Ints, SmallInts
-from menid_solvers.jit import kernel
 
 
 @kernel(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from menid_plan.compiled import kernel
 from menid_plan.mdp.model import Bools, Floats, Ints, SmallInts
-from menid_solvers.jit import kernel
 
 
 @kernel("void(i8[::1], i4[::1], f8[::1], b1[::1], f8[::1], f8[::1])")
@@ -31,7 +31,8 @@ def expect(
 
 
 @kernel(
-    "void(i8[::1], i8[::1], i4[::1], f8[::1], i8[::1], i4[::1], i4[::1], b1[::1], b1[::1], i4[::1])"
+    "void(i8[::1], i8[::1], i4[::1], f8[::1], i8[::1], i4[::1], i4[::1], b1[::1], b1[::1], i4[::1],"
+    " i4[::1], i4[::1])"
 )
 def steer(
     state_row: Ints,
@@ -44,14 +45,15 @@ def steer(
     row_counts: Bools,
     target: Bools,
     policy: SmallInts,
+    distance: SmallInts,
+    queue: SmallInts,
 ) -> None:
     """Set the policy so that the targets come nearer: the lowest row with a nearer next state.
 
     Only states from which the rows that count lead to a target are changed, and no target is.
     """
     n = len(target)
-    distance = np.full(n, n, np.int32)
-    queue = np.empty(n, np.int32)
+    distance[:] = n  # room of n, as queue
     tail = 0
     for s in range(n):
         if target[s]:
@@ -84,7 +86,8 @@ def steer(
 
 
 @kernel(
-    "UniTuple(f8, 2)(i8[::1], i8[::1], i4[::1], f8[::1], b1[::1], f8[::1], i4[::1], f8, i8, f8[::1])"
+    "UniTuple(f8, 2)(i8[::1], i8[::1], i4[::1], f8[::1], b1[::1], f8[::1], i4[::1], f8, i8, f8[::1],"
+    " f8[::1])"
 )
 def gain(
     state_row: Ints,
@@ -97,13 +100,13 @@ def gain(
     margin: float,
     sweeps: int,
     x: Floats,
+    change: Floats,
 ) -> tuple[float, float]:
     """Bounds on the best reward per step within an end component, from damped value iteration.
 
     Ends once the sign is known by more than margin, or after the sweeps. For any x the best gain is
     between the least and the largest T(x) - x (Odoni 1969).
     """
-    change = np.empty(len(members))
     least = -np.inf
     most = np.inf
     for _ in range(sweeps):

@@ -93,6 +93,7 @@ def solve_core(
     kernels.steer(
         mdp.state_row, mdp.row_transition, mdp.next_state, mdp.probability,
         back.first, back.row, back.row_state, leaving, target, stage.policy,
+        np.empty(mdp.states, np.int32), np.empty(mdp.states, np.int32),
     )  # fmt: skip
 
 

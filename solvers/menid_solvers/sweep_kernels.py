@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from menid_plan.mdp.model import Bools, Floats, Ints
-from menid_solvers.jit import Naturals, kernel
+from menid_plan.compiled import kernel
+from menid_plan.mdp.model import Bools, Floats, Ints, Naturals
 
 _ROWS = "i8[::1], i8[::1], u4[::1], f8[::1], f8[::1], f8[::1]"
 _TAKEN = "i8[::1], u4[::1], f8[::1], f8[::1]"
