@@ -140,6 +140,40 @@ class OnlinePolicy(Protocol):
         """The row to take in a state, -1 if there is none; ``seconds`` is a budget, None for any."""
 
 
+class Posterior(Protocol):
+    """What is believed about the outcome probabilities: float64, one for each slot."""
+
+    def mean(self) -> Floats:
+        """The expected probabilities."""
+
+    def sample(self, rng: np.random.Generator) -> Floats:
+        """Probabilities drawn from the belief."""
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """What an online solver acts on: a structure to put probabilities into, and what is believed.
+
+    ``fill`` makes an MDP of probabilities (float64, one for each slot). The posterior may change
+    between two questions; its owner then calls the policy's ``learned``, if it has one.
+    """
+
+    fill: Callable[[Floats], MDP]
+    posterior: Posterior
+    objective: Objective
+
+
+class OnlineSolver(Protocol):
+    """A frozen dataclass of options that makes policies which decide when they are asked."""
+
+    name: ClassVar[str]
+    promise: ClassVar[str]
+    needs: ClassVar[str]
+
+    def policy(self, belief: Belief, rng: np.random.Generator) -> OnlinePolicy:
+        """A policy for what is believed; all that it draws comes from ``rng``."""
+
+
 class UnknownSolverError(MenidError):
     """No installed package offers a solver of that name."""
 
@@ -163,13 +197,16 @@ def solver_entry_points() -> dict[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=GROUP)}
 
 
-def load_solver(name: str) -> type[Solver]:
-    """The class of a solver's options, by its name; UnknownSolverError lists those there are."""
+def load_solver(name: str) -> type[Solver] | type[OnlineSolver]:
+    """The class of a solver's options, by its name; UnknownSolverError lists those there are.
+
+    It has a method ``solve`` (`Solver`) or ``policy`` (`OnlineSolver`), or both.
+    """
     found = solver_entry_points()
     if name not in found:
         known = ", ".join(sorted(found)) or "none"
         raise UnknownSolverError(f"there is no solver `{name}`; installed: {known}")
-    loaded: type[Solver] = found[name].load()
+    loaded: type[Solver] | type[OnlineSolver] = found[name].load()
     return loaded
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 
-from menid_plan.mdp.model import MDP
-from menid_plan.solving import OnlinePolicy
-from menid_solvers.thompson import DirichletPosterior, Probabilities, ThompsonPolicy
+from menid_plan.mdp.model import MDP, Floats
+from menid_plan.solving import Belief, Objective, OnlinePolicy
+from menid_solvers.thompson import DirichletPosterior, Thompson, ThompsonPolicy
 from solver_reference import build
 
 # Two actions, each with a distribution of its own over the goal and a dead end.
@@ -19,17 +20,15 @@ STRUCTURE = build(
 )
 
 
-def fill(probabilities: Probabilities) -> MDP:
-    return replace(
-        STRUCTURE,
-        probability=np.concatenate(list(probabilities)),
-        row_reward=np.array([row[0] for row in probabilities]),
-    )
+def fill(probabilities: Floats) -> MDP:
+    return replace(STRUCTURE, probability=probabilities, row_reward=probabilities[::2].copy())
 
 
-def policy(counts: list[list[float]], **options: object) -> ThompsonPolicy:
-    posterior = DirichletPosterior([np.array(row) for row in counts])
-    return ThompsonPolicy(fill, posterior, np.random.default_rng(7), **options)  # type: ignore[arg-type]
+def policy(
+    counts: list[list[float]], objective: Objective = "reward", **options: Any
+) -> ThompsonPolicy:
+    belief = Belief(fill, DirichletPosterior.of(counts), objective)
+    return Thompson(**options).policy(belief, np.random.default_rng(7))
 
 
 def test_frequencies_match_the_belief() -> None:
@@ -45,17 +44,19 @@ def test_frequencies_match_the_belief() -> None:
 
 def test_update_turns_the_choice() -> None:
     learner = policy([[0, 0], [0, 0]])
+    posterior = learner.belief.posterior
+    assert isinstance(posterior, DirichletPosterior)
     for _ in range(400):
-        learner.update(1, 0)
-        learner.update(0, 1, 0.5)
+        posterior.update(2)
+        posterior.update(1, 0.5)
+    learner.learned()
     assert {learner.action(0) for _ in range(50)} == {1}
-    assert isinstance(learner.posterior, DirichletPosterior)
-    assert learner.posterior.counts[1].tolist() == [400, 0]
-    assert learner.posterior.counts[0].tolist() == [0, 200]
+    assert posterior.counts.tolist() == [0, 200, 400, 0]
+    assert posterior.mean() == pytest.approx([1 / 202, 201 / 202, 401 / 402, 1 / 402])
 
 
 @pytest.mark.parametrize("objective", ["reward", "goal-probability", "goal-then-reward"])
-def test_a_warm_start_changes_no_action(objective: str) -> None:
+def test_a_warm_start_changes_no_action(objective: Objective) -> None:
     warm, cold = (policy([[1, 1], [1, 1]], warm=w, objective=objective) for w in (True, False))
     assert [warm.action(0) for _ in range(300)] == [cold.action(0) for _ in range(300)]
 
@@ -74,4 +75,19 @@ def test_draws_are_kept_when_told() -> None:
 
 def test_the_prior_must_be_positive() -> None:
     with pytest.raises(ValueError, match="prior"):
-        DirichletPosterior([np.zeros(2)], prior=0)
+        DirichletPosterior.of([[0, 0]], prior=0)
+    with pytest.raises(ValueError, match="counts"):
+        DirichletPosterior.of([[0, -1]])
+    with pytest.raises(ValueError, match="redraw"):
+        Thompson(redraw=0)
+
+
+def test_draws_are_distributions_whatever_the_counts() -> None:
+    posterior = DirichletPosterior.of([[0, 0, 0], [5, 1], [0, 0]], prior=1e-4)
+    rng = np.random.default_rng(3)
+    drawn = np.array([posterior.sample(rng) for _ in range(2000)])
+    assert np.all(drawn >= 0)
+    for part in (slice(0, 3), slice(3, 5), slice(5, 7)):
+        assert drawn[:, part].sum(axis=1) == pytest.approx(1)
+    assert drawn.mean(axis=0) == pytest.approx(posterior.mean(), abs=0.05)
+    assert drawn[:, 3].std() == pytest.approx(np.sqrt(5 / 6 / 6 / 7), rel=0.1)

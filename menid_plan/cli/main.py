@@ -21,6 +21,7 @@ _COMMANDS = {
     "fmt": "Bring files into the canonical layout.",
     "init": "Write a commented domain and problem to start from.",
     "solve": "Find the best policy, with bounds on its value.",
+    "solvers": "List the installed solvers, and what each promises.",
     "show": "Show what a file declares, each rule as a table.",
 }
 

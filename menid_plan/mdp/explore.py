@@ -20,6 +20,7 @@ from menid_plan.grounding.semantics import Noise
 from menid_plan.grounding.state import SINK, NextState, binding_text, state_text
 from menid_plan.mdp import kernel
 from menid_plan.mdp.model import MDP, Bools, Floats, Ints, SmallInts
+from menid_plan.memory import demand
 from menid_plan.model.domain import Domain, Problem
 
 MAX_STATES = 50_000_000
@@ -34,14 +35,16 @@ class Structure:
     """Reachable states and where each outcome leads; shapes as in `menid_plan.mdp.model`.
 
     ``words`` (uint64[n, W]) are the packed states, ``row_rule`` (int32[r]) the ground rule of each
-    row, ``slot`` (int32[t]) the slot of each transition's probability. ``sink`` is the number of the
-    sink, -1 if no step falls into it; it is the last state, its words are 0 and mean nothing.
+    row and ``row_action`` (int32[r]) its ground action, ``slot`` (int32[t]) the slot of each
+    transition's probability. ``sink`` is the number of the sink, -1 if no step falls into it; it is
+    the last state, its words are 0 and mean nothing.
     """
 
     problem: GroundProblem
     words: NDArray[np.uint64]
     state_row: Ints
     row_rule: SmallInts
+    row_action: SmallInts
     row_transition: Ints
     next_state: SmallInts
     slot: SmallInts
@@ -70,16 +73,19 @@ class Structure:
         problem = self.problem
         arrival = np.where(self.goal, problem.goal_reward, 0.0)
         arrival[self.dead_end] += problem.dead_end_reward
-        chances = probabilities[self.slot]
-        pays = chances * (problem.slot_reward[self.slot] + arrival[self.next_state])
-        rows = np.add.reduceat(pays, self.row_transition[:-1]) if len(pays) else np.zeros(0)
-        actions = problem.tables.rule_action[self.row_rule]
-        owner = np.repeat(np.arange(self.states), np.diff(self.state_row))
-        rows = rows + self.state_reward[owner] - problem.action_cost[actions]
+        transitions, rows = len(self.next_state), len(self.row_rule)
+        demand(8.0 * (transitions + rows), f"the probabilities of {transitions} transitions")
+        chances, row_reward = np.empty(transitions), np.empty(rows)
+        kernel.fill(
+            self.state_row, self.row_transition, self.next_state, self.slot,
+            np.ascontiguousarray(probabilities), problem.slot_reward, arrival, self.state_reward,
+            problem.action_cost, self.row_action, chances, row_reward,
+        )  # fmt: skip
         task = problem.problem
         return MDP(
-            self.state_row, actions, rows, self.row_transition, self.next_state, chances, self.goal,
-            0, 1.0 if task.discount is None else task.discount, task.horizon, task.goal is not None,
+            self.state_row, self.row_action, row_reward, self.row_transition, self.next_state,
+            chances, self.goal, 0, 1.0 if task.discount is None else task.discount, task.horizon,
+            task.goal is not None,
         )  # fmt: skip
 
 
@@ -122,6 +128,8 @@ class _Search:
         self.max_states = max_states
         words = problem.tables.words
         size = 1024
+        tables = problem.tables
+        self.most = max(len(tables.outcome_slot), len(tables.rule_action), 1)  # of one state
         self.counts = np.array([0, 1, 0, 0], np.int64)
         self.table = np.full(4 * size, -1, np.int32)
         self.words = np.zeros((size, words), np.uint64)
@@ -150,22 +158,37 @@ class _Search:
                 raise self._unknown()
             if reason == kernel.LIMIT:
                 raise LimitError(
-                    f"more than {self.max_states} states can be reached, the limit; so far "
-                    f"{int(self.counts[0])} were expanded, with {int(self.counts[3])} transitions"
+                    f"more than {self.max_states} states can be reached, the limit; {self._so_far}"
                 )
             if reason == kernel.STATES_FULL:
-                self.words, self.goal = _grown(self.words), _grown(self.goal)
-                self.state_row, self.reward = _grown(self.state_row), _grown(self.reward)
+                self._grow("words", "goal", "state_row", "reward")
             elif reason == kernel.TABLE_FULL:
-                self.table = np.full(2 * len(self.table), -1, np.int32)
+                size = 2 * len(self.table)
+                self.table = np.empty(0, np.int32)
+                demand(4.0 * size, self._so_far)
+                self.table = np.full(size, -1, np.int32)
                 kernel.rehash(self.table, self.words, int(self.counts[1]))
             elif reason == kernel.ROWS_FULL:
-                self.row_rule = _grown(self.row_rule)
-                self.row_transition = _grown(self.row_transition)
+                self._grow("row_rule", "row_transition")
             elif reason == kernel.TRANSITIONS_FULL:
-                self.next_state, self.slot = _grown(self.next_state), _grown(self.slot)
+                self._grow("next_state", "slot")
             elif progress is not None:
                 progress(int(self.counts[1]), int(self.counts[0]), int(self.counts[3]))
+
+    @property
+    def _so_far(self) -> str:
+        done, found, _, transitions = self.counts.tolist()
+        return (
+            f"so far {found} states were found, {done} of them expanded, "
+            f"with {transitions} transitions"
+        )
+
+    def _grow(self, *names: str) -> None:
+        """Make arrays longer by half, if there is memory for them all."""
+        arrays = [getattr(self, name) for name in names]
+        demand(1.5 * sum(array.nbytes for array in arrays), self._so_far)
+        for name, array in zip(names, arrays, strict=True):
+            setattr(self, name, _of_length(array, len(array) + max(len(array) // 2, self.most)))
 
     def _call(self) -> int:
         t = self.problem.tables
@@ -207,27 +230,26 @@ class _Search:
 
     def structure(self, seconds: float) -> Structure:
         _, states, rows, transitions = (int(count) for count in self.counts)
-        next_state = self.next_state[:transitions].copy()
+        next_state = self.next_state[:transitions]
         falls = next_state == kernel.SINK_STATE
         sink = states if falls.any() else -1
         next_state[falls] = states
         total = states + (sink >= 0)
-        state_row = _grown_to(self.state_row, total + 1)
+        state_row = _of_length(self.state_row, total + 1)
         state_row[states:] = rows
+        row_rule = self.row_rule[:rows]
         return Structure(
-            self.problem, _grown_to(self.words, total), state_row, self.row_rule[:rows].copy(),
-            self.row_transition[: rows + 1].copy(), next_state, self.slot[:transitions].copy(),
-            _grown_to(self.goal, total), _grown_to(self.reward, total), sink, seconds,
+            self.problem, _of_length(self.words, total), state_row, row_rule,
+            self.problem.tables.rule_action[row_rule], self.row_transition[: rows + 1], next_state,
+            self.slot[:transitions], _of_length(self.goal, total), _of_length(self.reward, total),
+            sink, seconds,
         )  # fmt: skip
 
 
-def _grown(array: Any) -> Any:
-    """An array of twice the length that begins alike."""
-    return _grown_to(array, 2 * len(array))
-
-
-def _grown_to(array: Any, length: int) -> Any:
-    """An array of that length that begins alike, with zeros behind if it is longer."""
+def _of_length(array: Any, length: int) -> Any:
+    """The beginning of an array, or a longer one that begins like it, with zeros behind."""
+    if length <= len(array):
+        return array[:length]
     new = np.zeros((length, *array.shape[1:]), array.dtype)
-    new[: len(array)] = array[:length]
+    new[: len(array)] = array
     return new

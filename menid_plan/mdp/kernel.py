@@ -238,3 +238,23 @@ def explore(
         state_row[state] = rows
     note(counts, state, found, rows, transitions)
     return DONE
+
+
+@kernel(
+    "void(i8[::1], i8[::1], i4[::1], i4[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1],"
+    " i4[::1], f8[::1], f8[::1])"
+)
+def fill(
+    state_row: Any, row_transition: Any, next_state: Any, slot: Any, slot_chance: Any,
+    slot_reward: Any, arrival: Any, state_reward: Any, action_cost: Any, row_action: Any,
+    probability: Any, row_reward: Any,
+) -> None:  # fmt: skip
+    """Write each transition's probability, and what each row pays on average."""
+    for state in range(len(state_row) - 1):
+        for row in range(state_row[state], state_row[state + 1]):
+            paid = state_reward[state] - action_cost[row_action[row]]
+            for entry in range(row_transition[row], row_transition[row + 1]):
+                chance = slot_chance[slot[entry]]
+                probability[entry] = chance
+                paid += chance * (slot_reward[slot[entry]] + arrival[next_state[entry]])
+            row_reward[row] = paid

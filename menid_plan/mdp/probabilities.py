@@ -1,4 +1,4 @@
-"""The numbers that a domain writes for one environment, one for each slot of a ground problem."""
+"""What a domain writes of one environment: a number for each slot of a ground problem."""
 
 from __future__ import annotations
 
@@ -42,3 +42,14 @@ def written(problem: GroundProblem, environment: str) -> tuple[Floats, NDArray[n
         chances[span] = column / column.sum()
         happens[span] = np.where(column > 0, HAPPENS, NEVER)
     return chances, happens
+
+
+def observed(problem: GroundProblem, environment: str) -> Floats:
+    """How often each slot's outcome was seen in an environment, by the `observed` blocks; else 0."""
+    counts = np.zeros(problem.slots)
+    for distribution in problem.distributions:
+        cells = distribution.rule.observed_cells(environment, distribution.values)
+        if cells is not None:
+            span = slice(distribution.slots.start, distribution.slots.stop)
+            counts[span] = [evaluate(cell, problem.params) for cell in cells]
+    return counts
