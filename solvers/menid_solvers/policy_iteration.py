@@ -15,9 +15,10 @@ from menid_plan.mdp.model import MDP, Bools, Floats, Ints, SmallInts
 from menid_plan.solving import Objective, Progress, Solution, Status, UnsupportedError
 
 if TYPE_CHECKING:
-    from scipy.sparse import csr_matrix  # type: ignore[import-untyped]
+    from scipy.sparse import csc_matrix, csr_matrix  # type: ignore[import-untyped]
 
 DENSE = 300  # up to so many states a dense solve is the faster
+SPARSE = 5000  # and up to so many elimination is
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,7 +284,6 @@ class _Run:
     ) -> tuple[Floats, Floats] | None:
         """The values of a policy, and their estimated errors; None if it may never end."""
         from scipy.sparse import identity
-        from scipy.sparse.linalg import spsolve  # type: ignore[import-untyped]
 
         moving: Ints = np.flatnonzero(policy >= 0)
         if len(moving) == 0:
@@ -296,10 +296,7 @@ class _Run:
         inner = discount * chosen[:, moving]
         right = np.column_stack((constant, np.ones(len(moving))))
         system = (identity(len(moving), format="csr") - inner).tocsc()
-        if len(moving) <= DENSE:
-            answer = np.linalg.solve(system.toarray(), right)
-        else:
-            answer = spsolve(system, right)
+        answer = _linear_solve(system, right, discount < 1.0)
         residual = np.max(np.abs(constant + inner @ answer[:, 0] - answer[:, 0]))
         value = known.copy()
         value[moving] = answer[:, 0]
@@ -307,3 +304,26 @@ class _Run:
         size = 1e-15 * (1.0 + float(np.max(np.abs(answer[:, 0]))))
         error[moving] = (residual + size) * np.abs(answer[:, 1])
         return value, error
+
+
+def _linear_solve(system: csc_matrix, right: Floats, contracts: bool) -> Floats:
+    """Solve for some right-hand sides (float64[m, k]) by what suits the size.
+
+    Elimination may fill a large sparse matrix up; where the iteration contracts BiCGSTAB (van der
+    Vorst 1992) is tried first, and its answer counts if the residual is down to rounding.
+    """
+    from scipy.sparse.linalg import bicgstab, spsolve  # type: ignore[import-untyped]
+
+    if len(right) <= DENSE:
+        return np.asarray(np.linalg.solve(system.toarray(), right))
+    if contracts and len(right) > SPARSE:
+        columns = []
+        for column in right.T:
+            answer, failed = bicgstab(system, column, rtol=1e-14, maxiter=500)
+            size = max(1.0, float(np.max(np.abs(answer))))
+            if failed or float(np.max(np.abs(system @ answer - column))) > 1e-12 * size:
+                break
+            columns.append(answer)
+        else:
+            return np.column_stack(columns)
+    return np.asarray(spsolve(system, right))

@@ -6,7 +6,7 @@ Hensel, Junges, Katoen, Quatmann and Volk, The probabilistic model checker Storm
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any, ClassVar
 
@@ -27,6 +27,8 @@ from menid_plan.solving import (
 class Storm:
     """Storm with its sound methods (intervals), absolute precision ``epsilon``.
 
+    ``tie``: how exactly goal probabilities are told apart before rewards decide.
+
     Storm has no total of rewards of both signs without discount, and no discount together with a
     horizon: UnsupportedError. Its discounted values come without bounds; they are given as the value
     and epsilon to both sides.
@@ -37,6 +39,7 @@ class Storm:
     needs: ClassVar[str] = "stormpy>=2"
 
     epsilon: float = 1e-6
+    tie: float = 1e-8
 
     def solve(
         self,
@@ -123,19 +126,20 @@ class Storm:
     def _goal_then_reward(self, mdp: MDP, rows: Bools) -> tuple[Floats, Floats, SmallInts, Floats]:
         if mdp.discount < 1.0:
             raise UnsupportedError("storm cannot put the goal before a discounted reward")
-        low, high, first = self._plain(mdp, rows, "goal-probability")
-        sums = np.concatenate(([0.0], np.cumsum(mdp.probability * high[mdp.next_state])))
-        reach = np.diff(sums[mdp.row_transition])
+        finer = replace(self, epsilon=min(self.epsilon, self.tie / 100))
+        low, high, first = finer._plain(mdp, rows, "goal-probability")
+        chance = (low + high) / 2
+        reach = np.add.reduceat(mdp.probability * chance[mdp.next_state], mdp.row_transition[:-1])
         state = np.repeat(np.arange(mdp.states), np.diff(mdp.state_row))
-        hopeful = high > 0.0
-        best = rows & hopeful[state] & (reach >= low[state] - 1e-12)
+        hopeful = chance > self.tie
+        best = rows & hopeful[state] & (reach >= chance[state] - self.tie)
         negative = not bool(np.any(mdp.row_reward[best] > 0.0))
         if not negative:
             raise UnsupportedError("storm puts the goal before rewards only if none is positive")
         ended = StormModel.build(mdp, best, -mdp.row_reward, ended=mdp.goal | ~hopeful)
         lower, upper, policy = ended.check('R{"r"}min=? [F "end"]', self.epsilon)
         policy = np.where(hopeful, policy, first).astype(np.int32)
-        return -upper, -lower, policy, (low + high) / 2
+        return -upper, -lower, policy, chance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,9 +227,6 @@ class StormModel:
         )
         value = np.array(result.get_value_vector(), dtype=np.float64)
         lower, upper = value - epsilon, value + epsilon
-        if result.has_lower_bounds() and result.has_upper_bounds():
-            lower = np.array(result.get_lower_bound_vector(), dtype=np.float64)
-            upper = np.array(result.get_upper_bound_vector(), dtype=np.float64)
         policy = np.full(len(value), -1, np.int32)
         if result.has_scheduler():
             scheduler = result.get_scheduler()
