@@ -110,15 +110,20 @@ class Kernel:
         return f"{self.function.__module__}.{self.function.__name__}"
 
     @cached_property
+    def _used(self) -> dict[str, Any]:
+        """The kernels and numbers of its module by whose names (or attributes so named) it goes."""
+        known = self.function.__globals__
+        names = sorted(set(self.function.__code__.co_names))
+        found = {name: known[name] for name in names if name in known}
+        kinds = (Kernel, int, float)
+        return {n: v for n, v in found.items() if isinstance(v, kinds) and v is not self}
+
+    @cached_property
     def key(self) -> str:
         """A hash of all that the compiled code depends on but the machine."""
         parts = [self.signature, str(self.inline), version("numba"), _source_hash(self.function)]
-        for name in sorted(set(self.function.__code__.co_names)):
-            value = self.function.__globals__.get(name)
-            if isinstance(value, Kernel):
-                parts.append(value.key)
-            elif isinstance(value, (int, float)):
-                parts.append(f"{name}={value!r}")
+        for name, value in self._used.items():
+            parts.append(value.key if isinstance(value, Kernel) else f"{name}={value!r}")
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
     @cached_property
@@ -127,9 +132,8 @@ class Kernel:
         import numba
 
         names = dict(self.function.__globals__)
-        for name in self.function.__code__.co_names:
-            if isinstance(names.get(name), Kernel):
-                names[name] = names[name].dispatcher
+        for name, value in self._used.items():
+            names[name] = value.dispatcher if isinstance(value, Kernel) else value
         copy = FunctionType(self.function.__code__, names, self.function.__name__)
         options = {**_OPTIONS, "inline": "always"} if self.inline else _OPTIONS
         return numba.njit(**options)(copy)

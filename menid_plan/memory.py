@@ -8,6 +8,7 @@ from pathlib import Path
 from menid_plan.errors import LimitError
 
 MEGABYTE = 1e6
+SMALL = 8 * MEGABYTE  # less is not worth asking for
 
 
 def available() -> float:
@@ -36,7 +37,7 @@ def available() -> float:
 
 def demand(size: float, so_far: str) -> None:
     """Raise LimitError if so many bytes cannot be had; ``so_far`` ends its message."""
-    if size < 8 * MEGABYTE:  # not worth asking for
+    if size < SMALL:
         return
     left = available()
     if size > 0.95 * left:

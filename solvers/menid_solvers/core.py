@@ -19,6 +19,7 @@ from typing import TypeAlias
 import numpy as np
 
 from menid_plan.mdp.model import MDP, Bools, Floats, Ints, Naturals, SmallInts
+from menid_plan.memory import demand
 from menid_solvers import core_kernels as kernels
 from menid_solvers.graph import components
 
@@ -91,6 +92,8 @@ def build_core(
     in it forever is worth, -inf if that is not allowed.
     """
     n = mdp.states
+    size = f"to solve {n} states with {mdp.transitions} transitions"
+    demand(12.0 * mdp.transitions + 40.0 * mdp.rows + 80.0 * n, size)
     number, component = components(mdp, rows)
     if merged is None:
         merged = np.full(n, -1, np.int32)
