@@ -3,19 +3,54 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
-from typing import Any
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any, cast
 
 import numpy as np
 
+from menid_plan.errors import MenidError
 from menid_plan.grounding.ground import ground
 from menid_plan.grounding.semantics import Noise
-from menid_plan.grounding.state import SINK, GroundAction
+from menid_plan.grounding.state import GroundAction
 from menid_plan.mdp.explore import MAX_STATES, Progress, Structure, explore
-from menid_plan.mdp.model import MDP
+from menid_plan.mdp.model import MDP, Floats
 from menid_plan.mdp.probabilities import written
 from menid_plan.model.domain import Domain, Problem
-from menid_plan.solving import Objective, Solution, Solver, load_solver, natural_objective
+from menid_plan.policy import Policy, policy_of
+from menid_plan.simulation import Simulator
+from menid_plan.solving import (
+    Belief,
+    Objective,
+    OnlinePolicy,
+    OnlineSolver,
+    Solution,
+    Solver,
+    UnsupportedError,
+    load_solver,
+    natural_objective,
+)
+from menid_plan.solving import Progress as SolverProgress
+
+
+class OptionError(MenidError):
+    """A solver does not have an option, or not with that value."""
+
+    exit_code = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Certain:
+    """The belief of who knows the probabilities (float64, one for each slot)."""
+
+    chances: Floats
+
+    def mean(self) -> Floats:
+        """The probabilities."""
+        return self.chances
+
+    def sample(self, rng: np.random.Generator) -> Floats:  # noqa: ARG002
+        """The probabilities: there is nothing to be drawn."""
+        return self.chances
 
 
 class Task:
@@ -38,15 +73,16 @@ class Task:
         self.max_states = max_states
         self.structure: Structure
         self.mdp: MDP
+        self.chances: Floats
 
     def build(self, progress: Progress | None = None) -> MDP:
         """Ground, explore what happens in the environment, and fill in its probabilities."""
         compiled = ground(self.domain, self.problem, self.params)
-        chances, happens = written(compiled, self.environment)
+        self.chances, happens = written(compiled, self.environment)
         self.structure = explore(
             compiled, happens, noise=self.noise, max_states=self.max_states, progress=progress
         )
-        self.mdp = self.structure.fill(chances)
+        self.mdp = self.structure.fill(self.chances)
         return self.mdp
 
     @property
@@ -62,10 +98,25 @@ class Task:
 
     @staticmethod
     def solver(name: str, **options: Any) -> Solver:
-        """A solver with those of the options that it has."""
-        kind = load_solver(name)
-        known: set[str] = {f.name for f in fields(kind)} if is_dataclass(kind) else set()
-        return kind(**{key: value for key, value in options.items() if key in known})
+        """A solver with some options; those that are None are left to it.
+
+        Raises OptionError for an option that it does not have or a value that it refuses,
+        UnsupportedError for a solver that makes no plan but decides when it is asked.
+        """
+        made = _made(name, options)
+        if not hasattr(made, "solve"):
+            raise UnsupportedError(
+                f"the solver `{name}` decides step by step, and has no policy to be shown"
+            )
+        return cast("Solver", made)
+
+    @staticmethod
+    def online_solver(name: str, **options: Any) -> OnlineSolver:
+        """A solver that decides when it is asked, with some options; see `solver`."""
+        made = _made(name, options)
+        if not hasattr(made, "policy"):
+            raise UnsupportedError(f"the solver `{name}` does not decide step by step")
+        return cast("OnlineSolver", made)
 
     @staticmethod
     def warm(solver: Solver) -> None:
@@ -77,37 +128,46 @@ class Task:
         )  # fmt: skip
         solver.solve(mdp, "reward")
 
-    def solve(self, solver: Solver, objective: str | None = None) -> Solution:
+    def solve(
+        self,
+        solver: Solver,
+        objective: Objective | None = None,
+        progress: SolverProgress | None = None,
+    ) -> Solution:
         """Solve what was built."""
-        return solver.solve(self.mdp, objective or self.objective)  # type: ignore[arg-type]
+        return solver.solve(self.mdp, objective or self.objective, progress=progress)
 
     def action(self, row: int) -> GroundAction:
         """The ground action of a row."""
         return self.structure.problem.actions[int(self.mdp.row_action[row])]
 
-    def policy_json(self, solution: Solution) -> dict[str, Any]:
-        """The states that a policy reaches from the initial one, and its action in each."""
-        mdp, policy = self.mdp, solution.policy
-        seen, queue = {mdp.initial}, [mdp.initial]
-        states = []
-        for number in queue:
-            row = int(policy[number])
-            state = self.structure.state(number)
-            if row < 0 or state is SINK:
-                continue
-            states.append(
-                {"state": sorted(str(atom) for atom in state), "action": str(self.action(row))}
-            )
-            span = slice(int(mdp.row_transition[row]), int(mdp.row_transition[row + 1]))
-            for after, chance in zip(mdp.next_state[span], mdp.probability[span], strict=True):
-                if chance > 0 and int(after) not in seen:
-                    seen.add(int(after))
-                    queue.append(int(after))
-        return {
-            "domain": self.domain.name,
-            "problem": self.problem.name,
-            "environment": self.environment,
-            "objective": solution.objective,
-            "noise": self.noise,
-            "states": states,
-        }
+    def policy(self, solution: Solution) -> Policy:
+        """The states that a solution reaches from the initial one, and what it does in each."""
+        return policy_of(
+            self.structure, self.mdp, solution, self.environment, self.params, self.noise
+        )
+
+    def online_policy(
+        self, solver: OnlineSolver, rng: np.random.Generator, objective: Objective | None = None
+    ) -> OnlinePolicy:
+        """What an online solver does if it knows the probabilities that were filled in."""
+        belief = Belief(self.structure.fill, Certain(self.chances), objective or self.objective)
+        return solver.policy(belief, rng)
+
+    def simulator(self) -> Simulator:
+        """Draws episodes of what was built."""
+        return Simulator(self.structure, self.mdp)
+
+
+def _made(name: str, options: Mapping[str, Any]) -> object:
+    """A solver by its name, with the options that are not None."""
+    kind = load_solver(name)
+    given = {key: value for key, value in options.items() if value is not None}
+    known: set[str] = {f.name for f in fields(kind) if f.init} if is_dataclass(kind) else set()
+    for key in given:
+        if key not in known:
+            raise OptionError(f"the solver `{name}` has no option --{key.replace('_', '-')}")
+    try:
+        return kind(**given)
+    except ValueError as error:
+        raise OptionError(f"the solver `{name}`: {error}") from error

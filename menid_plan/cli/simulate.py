@@ -1,0 +1,366 @@
+"""`menid simulate`: what a policy earns in episodes that are drawn at random."""
+
+from __future__ import annotations
+
+import json
+import math
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from menid_plan.cli.common import json_option, load_both
+from menid_plan.cli.tasks import Display, build, solve, task_options
+from menid_plan.errors import LimitError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from menid_plan.model.domain import Domain, Problem
+    from menid_plan.planning import Task
+    from menid_plan.policy import Policy
+    from menid_plan.simulation import Chooser, Episodes, Estimate, Simulator
+    from menid_plan.solving import Objective, Solution
+
+_WIDTH = 80
+
+# What the value of each objective is the expectation of.
+_COMPARED = {
+    "reward": "the mean return",
+    "goal-then-reward": "the mean until the goal is lost",
+    "goal-probability": "the goal rate",
+    "steps": "the mean number of steps",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """Where the actions come from; ``solution`` is None unless a solver made one beforehand."""
+
+    choose: Chooser
+    text: str
+    objective: Objective
+    solution: Solution | None = None
+
+
+@click.command("simulate")
+@task_options
+@click.option(
+    "--policy", "source", required=True, metavar="FILE|SOLVER",
+    help="A policy that `menid solve -o` wrote, or the name of a solver.",
+)  # fmt: skip
+@click.option("--episodes", type=click.IntRange(1), default=1000, show_default=True, metavar="N")
+@click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, metavar="S",
+    help="The same seed gives the same episodes.",
+)  # fmt: skip
+@click.option(
+    "--max-steps", type=click.IntRange(1), metavar="N",
+    help="Cut episodes off after so many steps; by default after 10000, or where discounting "
+    "leaves less than a millionth.",
+)  # fmt: skip
+@click.option("--trace", is_flag=True, help="Print every episode step by step.")
+@json_option
+@click.pass_context
+def command(
+    ctx: click.Context,
+    files: tuple[str, ...],
+    environment: str | None,
+    settings: dict[str, float],
+    noise: str | None,
+    objective: Objective | None,
+    source: str,
+    epsilon: float | None,
+    max_iterations: int | None,
+    max_seconds: float | None,
+    max_states: int,
+    episodes: int,
+    seed: int,
+    max_steps: int | None,
+    trace: bool,
+    as_json: bool,
+) -> None:
+    """Draw episodes under a policy, and print what they earn on average.
+
+    With a policy from a file, the environment, the params and the noise are by default those for which
+    it was made. Exits with 1 if a solver finds no policy.
+    """
+    domain, problem = load_both(files)
+    import numpy as np
+
+    from menid_plan.planning import Task
+
+    options = {"epsilon": epsilon, "max_iterations": max_iterations, "max_seconds": max_seconds}
+    policy = None
+    if not _is_solver(source):
+        for name, value in {"objective": objective, **options}.items():
+            if value is not None:
+                option = name.replace("_", "-")
+                raise click.UsageError(f"--{option} is for a solver; `{source}` is a file")
+        policy = _read(source, domain, problem)
+        environment = environment or policy.environment
+        settings = settings or dict(policy.params)
+        noise = noise or policy.noise
+    task = Task(
+        domain, problem, environment, settings, "sink" if noise == "sink" else "stay", max_states
+    )
+    rng = np.random.default_rng(seed)
+    display = Display()
+    if policy is not None:
+        build(task, display)
+        plan = _of_file(task, policy, source)
+    else:
+        plan = _of_solver(task, source, objective, options, rng, display)
+    if plan.solution is not None and plan.solution.status in ("unbounded", "infeasible"):
+        click.echo(f"menid: {plan.solution.status}: {plan.solution.message}", err=True)
+        ctx.exit(1)
+    simulator = task.simulator()
+    drawn = _run(simulator, plan, episodes, rng, max_steps, trace=trace)
+    if as_json:
+        click.echo(json.dumps(_result(task, plan, drawn, seed), indent=2))
+        return
+    if trace:
+        for line in _traces_text(task, drawn):
+            click.echo(line)
+    for line in _summary(task, plan, drawn, seed):
+        click.echo(line)
+
+
+def _is_solver(source: str) -> bool:
+    from menid_plan.solving import solver_entry_points
+
+    return source in solver_entry_points()
+
+
+def _read(source: str, domain: Domain, problem: Problem) -> Policy:
+    from menid_plan.policy_file import read_policy
+    from menid_plan.solving import solver_entry_points
+
+    path = Path(source)
+    if not path.exists() and "." not in path.name and "/" not in source:
+        known = ", ".join(sorted(solver_entry_points())) or "none"
+        raise click.UsageError(
+            f"`{source}` is neither a file nor a solver; the solvers are: {known}"
+        )
+    return read_policy(path.read_bytes(), domain, problem, source)
+
+
+def _of_file(task: Task, policy: Policy, source: str) -> _Plan:
+    from menid_plan.policy import file_chooser
+
+    made = "" if policy.environment == task.environment else f", made for {policy.environment}"
+    text = f"{source}, for {policy.objective}{made}"
+    return _Plan(file_chooser(policy, task.simulator(), source), text, policy.objective)
+
+
+def _of_solver(
+    task: Task,
+    name: str,
+    objective: Objective | None,
+    options: dict[str, Any],
+    rng: np.random.Generator,
+    display: Display,
+) -> _Plan:
+    from menid_plan.simulation import chooser, online
+    from menid_plan.solving import load_solver
+
+    wanted = objective or task.objective
+    if not hasattr(load_solver(name), "solve"):
+        deciding = task.online_solver(name, **options)
+        build(task, display)
+        policy = online(task.online_policy(deciding, rng, wanted))
+        return _Plan(policy, f"{name}, for {wanted}, decides step by step", wanted)
+    solver = task.solver(name, **options)
+    build(task, display)
+    solution = solve(task, solver, wanted, display)
+    steps = task.mdp.horizon
+    if steps and solution.steps is None and solution.status == "solved":
+        why = solution.message or "it gives none for the steps of a horizon"
+        raise LimitError(f"the solver `{name}` has no policy to simulate: {why}")
+    early = f"; it stopped early: {solution.message}" if solution.status == "limit" else ""
+    return _Plan(chooser(solution), f"{name}, for {wanted}{early}", wanted, solution)
+
+
+def _run(
+    simulator: Simulator,
+    plan: _Plan,
+    episodes: int,
+    rng: np.random.Generator,
+    max_steps: int | None,
+    *,
+    trace: bool,
+) -> Episodes:
+    try:
+        return simulator.run(
+            plan.choose, episodes, rng, max_steps=max_steps, trace=trace,
+            hopeless=plan.objective == "goal-then-reward",
+        )  # fmt: skip
+    except KeyboardInterrupt:
+        raise LimitError("interrupted while episodes were drawn") from None
+
+
+def _shown(estimate: Estimate) -> str:
+    if math.isnan(estimate.error):
+        return f"{estimate.mean:.6g}"
+    return f"{estimate.mean:.6g} +- {estimate.error:.2g}"
+
+
+def _json_number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _result(task: Task, plan: _Plan, drawn: Episodes, seed: int) -> dict[str, Any]:
+    """What is printed, by the keys of the JSON."""
+    from menid_plan.policy import known_value
+    from menid_plan.policy_file import number_json
+    from menid_plan.simulation import Estimate
+
+    returns, rate = Estimate.of(drawn.returns), Estimate.of(drawn.goal)
+    compared = drawn.of_objective(plan.objective)
+    value = None if plan.solution is None else number_json(known_value(plan.solution))
+    result: dict[str, Any] = {
+        "episodes": len(drawn.returns),
+        "mean": returns.mean,
+        "standard_error": _json_number(returns.error),
+        "goal_rate": rate.mean if task.mdp.has_goal else None,
+        "goal_rate_error": _json_number(rate.error) if task.mdp.has_goal else None,
+        "steps": float(drawn.steps.mean()),
+        "cut": int(drawn.cut.sum()),
+        "max_steps": drawn.max_steps,
+        "seed": seed,
+        "environment": task.environment,
+        "objective": plan.objective,
+        "objective_mean": compared.mean,
+        "objective_error": _json_number(compared.error),
+        "value": value,
+    }
+    if drawn.traces is not None:
+        result["traces"] = [list(_steps(task, drawn, i)) for i in range(len(drawn.returns))]
+    return result
+
+
+def _summary(task: Task, plan: _Plan, drawn: Episodes, seed: int) -> Iterator[str]:
+    from menid_plan.simulation import Estimate
+
+    discount = task.mdp.discount
+    kind = "" if discount == 1.0 else f", discounted by {discount:g}"
+    yield f"policy       {plan.text}"
+    yield f"environment  {task.environment}"
+    yield f"episodes     {len(drawn.returns)}, seed {seed}"
+    yield f"mean return  {_shown(Estimate.of(drawn.returns))}{kind}"
+    if plan.objective == "goal-then-reward":
+        yield f"             {_shown(drawn.of_objective(plan.objective))} until the goal is lost"
+    if task.mdp.has_goal:
+        yield f"goal rate    {_shown(Estimate.of(drawn.goal))}"
+    yield f"steps        {_shown(Estimate.of(drawn.steps))}"
+    yield f"cut          {_cut(task, drawn)}"
+    if plan.solution is not None:
+        yield f"value        {_value(plan.solution, drawn)}"
+
+
+def _cut(task: Task, drawn: Episodes) -> str:
+    number = int(drawn.cut.sum())
+    if number == 0:
+        return "none"
+    text = f"{number} after {drawn.max_steps} steps"
+    if math.isfinite(drawn.lacking):
+        text += f"; what is left out of each is at most {drawn.lacking:.2g}"
+    else:
+        text += "; what they would still earn is left out"
+    return text + (", and counts as no goal" if task.mdp.has_goal else "")
+
+
+def _value(solution: Solution, drawn: Episodes) -> str:
+    from menid_plan.policy import known_value
+
+    value = known_value(solution)
+    if not math.isfinite(value):
+        low, high = float(solution.lower[solution.initial]), float(solution.upper[solution.initial])
+        return f"not known, between {low:g} and {high:g}"
+    text = f"{value:.6g} by the solver"
+    estimate = drawn.of_objective(solution.objective)
+    text += f", to be compared with {_COMPARED[solution.objective]}"
+    if estimate.error > 0.0:
+        text += f": {abs(estimate.mean - value) / estimate.error:.1f} errors apart"
+    return text
+
+
+# ----------------------------------------------------------------------------------------- traces
+
+
+def _steps(task: Task, drawn: Episodes, episode: int) -> Iterator[dict[str, Any]]:
+    """The steps of an episode, as the JSON has them."""
+    from menid_plan.grounding.state import SINK
+
+    traces, structure, mdp = drawn.traces, task.structure, task.mdp
+    assert traces is not None
+    problem = structure.problem
+    before = structure.state(mdp.initial)
+    span = slice(int(traces.first[episode]), int(traces.first[episode + 1]))
+    columns = (traces.row[span], traces.transition[span], traces.reward[span])
+    for row, transition, reward in zip(*(c.tolist() for c in columns), strict=True):
+        number = int(structure.row_rule[row])
+        rule = problem.rules[number]
+        distribution = problem.distributions[problem.rule_distribution[number]]
+        slot = int(structure.slot[transition])
+        after = structure.state(int(mdp.next_state[transition]))
+        assert before is not SINK
+        arrived = before if after is SINK else after
+        yield {
+            "action": str(rule.action),
+            "rule": rule.rule.name,
+            "binding": dict(rule.binding),
+            "outcome": rule.rule.outcomes[slot - distribution.start].name,
+            "reward": reward,
+            "added": sorted(str(atom) for atom in arrived - before),
+            "deleted": sorted(str(atom) for atom in before - arrived),
+        }
+        before = after
+
+
+def _traces_text(task: Task, drawn: Episodes) -> Iterator[str]:
+    structure = task.structure
+    always = structure.problem.always
+    start = task.structure.problem.unpack(structure.words[task.mdp.initial]) - always
+    shown = ", ".join(sorted(map(str, start))) or "none of what may change holds"
+    for episode in range(len(drawn.returns)):
+        yield from _wrapped(f"episode {episode + 1}: ", shown)
+        number = 0
+        for number, step in enumerate(_steps(task, drawn, episode), start=1):
+            binding = ", ".join(f"{name} = {value}" for name, value in step["binding"].items())
+            rule = step["rule"] + (f" ({binding})" if binding else "")
+            yield from _wrapped(f"{number:4}  ", f"{step['action']}, by rule {rule}")
+            changes = [f"- {a}" for a in step["deleted"]] + [f"+ {a}" for a in step["added"]]
+            text = f"{step['outcome']}, reward {step['reward']:g}: "
+            yield from _wrapped("      ", text + (", ".join(changes) or "nothing changes"))
+        yield f"      {_ending(task, drawn, episode, number)}, return {drawn.returns[episode]:g}"
+        yield ""
+
+
+def _ending(task: Task, drawn: Episodes, episode: int, steps: int) -> str:
+    """How an episode ended."""
+    traces, structure = drawn.traces, task.structure
+    assert traces is not None
+    last = task.mdp.initial
+    if steps:
+        last = int(task.mdp.next_state[traces.transition[traces.first[episode + 1] - 1]])
+    count = f"{steps} step{'s' * (steps != 1)}"
+    if drawn.goal[episode]:
+        return f"in the goal after {count}"
+    if drawn.cut[episode]:
+        return f"cut off after {count}"
+    if last == structure.sink:
+        return f"in the sink after {count}"
+    if structure.dead_end[last]:
+        return f"in a dead end after {count}"
+    return f"at the horizon after {count}"
+
+
+def _wrapped(head: str, text: str) -> list[str]:
+    return textwrap.wrap(
+        text, _WIDTH, initial_indent=head, subsequent_indent=" " * min(len(head), 10),
+        break_long_words=False, break_on_hyphens=False,
+    )  # fmt: skip
