@@ -26,8 +26,11 @@ ALLOWED = {
     "memory": {"errors"},
     "mdp": {"source", "errors", "model", "grounding", "compiled", "memory"},
     "solving": {"source", "errors", "model", "grounding", "mdp"},
-    "planning": {"model", "grounding", "mdp", "solving"},
-    "exchange": {"source", "errors", "model", "grounding", "mdp"},
+    "simulation": {"errors", "grounding", "mdp", "solving"},
+    "policy": {"errors", "grounding", "mdp", "solving", "simulation"},
+    "policy_file": {"errors", "language", "grounding", "model", "solving", "policy"},
+    "planning": {"errors", "model", "grounding", "mdp", "solving", "policy", "simulation"},
+    "exchange": {"source", "errors", "model", "grounding", "mdp", "solving", "policy"},
     "cli": {
         "source",
         "errors",
@@ -39,6 +42,9 @@ ALLOWED = {
         "solving",
         "exchange",
         "planning",
+        "policy",
+        "policy_file",
+        "simulation",
     },
 }
 # Which packages from elsewhere are imported in one place only.

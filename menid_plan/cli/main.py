@@ -20,6 +20,7 @@ _COMMANDS = {
     "ground": "Count states and transitions; write the explicit model.",
     "fmt": "Bring files into the canonical layout.",
     "init": "Write a commented domain and problem to start from.",
+    "simulate": "Draw episodes under a policy, and print what they earn.",
     "solve": "Find the best policy, with bounds on its value.",
     "solvers": "List the installed solvers, and what each promises.",
     "show": "Show what a file declares, each rule as a table.",
