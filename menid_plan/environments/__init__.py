@@ -1,0 +1,1 @@
+"""Where actions are executed: simulators, programs, records, and the robot itself."""

@@ -1,0 +1,1 @@
+"""What was seen: experiences, the rules that explain them, and the file that keeps them."""

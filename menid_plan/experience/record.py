@@ -1,0 +1,41 @@
+"""One experience: what an action did in an environment, and how the domain explains it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from menid_plan.grounding.state import GroundAction, State
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """The rule that covered a step, and the share of each outcome that could have led there.
+
+    ``values`` are those of the rule's ``per`` parameters. ``weights`` (one for each outcome, noise
+    last) sum to 1.
+    """
+
+    rule: str
+    values: tuple[str, ...]
+    weights: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Experience:
+    """An execution of an action.
+
+    ``reward`` is None where the environment gives none; ``duration`` is in seconds, measured or
+    nominal as the environment has it. ``episode`` and ``step`` count within the environment.
+    ``seed`` is what the execution drew its chances from. ``when`` is in seconds since 1970.
+    ``explanation`` is None where no rule of the action covers the state.
+    """
+
+    environment: str
+    state: State
+    action: GroundAction
+    after: State
+    reward: float | None
+    duration: float
+    seed: int
+    when: float
+    explanation: Explanation | None

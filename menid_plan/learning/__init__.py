@@ -1,0 +1,1 @@
+"""From counts to probabilities: estimators, how sure they are, and where to act next."""
