@@ -30,7 +30,7 @@ _WIDTH = 80
 # What the value of each objective is the expectation of.
 _COMPARED = {
     "reward": "the mean return",
-    "goal-then-reward": "the mean until the goal is lost",
+    "goal-then-reward": "the mean return until the goal is out of reach",
     "goal-probability": "the goal rate",
     "steps": "the mean number of steps",
 }
@@ -125,8 +125,9 @@ def command(
     if trace:
         for line in _traces_text(task, drawn):
             click.echo(line)
-    for line in _summary(task, plan, drawn, seed):
-        click.echo(line)
+    for name, text in _summary(task, plan, drawn, seed):
+        for line in _wrapped(f"{name:13}", text, 13):
+            click.echo(line)
 
 
 def _is_solver(source: str) -> bool:
@@ -242,23 +243,23 @@ def _result(task: Task, plan: _Plan, drawn: Episodes, seed: int) -> dict[str, An
     return result
 
 
-def _summary(task: Task, plan: _Plan, drawn: Episodes, seed: int) -> Iterator[str]:
+def _summary(task: Task, plan: _Plan, drawn: Episodes, seed: int) -> Iterator[tuple[str, str]]:
     from menid_plan.simulation import Estimate
 
     discount = task.mdp.discount
     kind = "" if discount == 1.0 else f", discounted by {discount:g}"
-    yield f"policy       {plan.text}"
-    yield f"environment  {task.environment}"
-    yield f"episodes     {len(drawn.returns)}, seed {seed}"
-    yield f"mean return  {_shown(Estimate.of(drawn.returns))}{kind}"
+    yield "policy", plan.text
+    yield "environment", task.environment
+    yield "episodes", f"{len(drawn.returns)}, seed {seed}"
+    yield "mean return", f"{_shown(Estimate.of(drawn.returns))}{kind}"
     if plan.objective == "goal-then-reward":
-        yield f"             {_shown(drawn.of_objective(plan.objective))} until the goal is lost"
+        yield "", f"{_shown(drawn.of_objective(plan.objective))} until the goal is out of reach"
     if task.mdp.has_goal:
-        yield f"goal rate    {_shown(Estimate.of(drawn.goal))}"
-    yield f"steps        {_shown(Estimate.of(drawn.steps))}"
-    yield f"cut          {_cut(task, drawn)}"
+        yield "goal rate", _shown(Estimate.of(drawn.goal))
+    yield "steps", _shown(Estimate.of(drawn.steps))
+    yield "cut", _cut(task, drawn)
     if plan.solution is not None:
-        yield f"value        {_value(plan.solution, drawn)}"
+        yield "value", _value(plan.solution, drawn)
 
 
 def _cut(task: Task, drawn: Episodes) -> str:
@@ -280,11 +281,11 @@ def _value(solution: Solution, drawn: Episodes) -> str:
     if not math.isfinite(value):
         low, high = float(solution.lower[solution.initial]), float(solution.upper[solution.initial])
         return f"not known, between {low:g} and {high:g}"
-    text = f"{value:.6g} by the solver"
     estimate = drawn.of_objective(solution.objective)
-    text += f", to be compared with {_COMPARED[solution.objective]}"
+    text = f"{value:.6g} by the solver, for {_COMPARED[solution.objective]}"
     if estimate.error > 0.0:
-        text += f": {abs(estimate.mean - value) / estimate.error:.1f} errors apart"
+        away = abs(estimate.mean - value) / estimate.error
+        text += f", which is {away:.1f} standard errors away"
     return text
 
 
@@ -317,8 +318,18 @@ def _steps(task: Task, drawn: Episodes, episode: int) -> Iterator[dict[str, Any]
             "reward": reward,
             "added": sorted(str(atom) for atom in arrived - before),
             "deleted": sorted(str(atom) for atom in before - arrived),
+            "ends": _end(task, int(mdp.next_state[transition])),
         }
         before = after
+
+
+def _end(task: Task, state: int) -> str:
+    """What a state ends an episode as; empty if it does not."""
+    if task.mdp.goal[state]:
+        return "goal"
+    if state == task.structure.sink:
+        return "sink"
+    return "dead end" if task.structure.dead_end[state] else ""
 
 
 def _traces_text(task: Task, drawn: Episodes) -> Iterator[str]:
@@ -328,39 +339,34 @@ def _traces_text(task: Task, drawn: Episodes) -> Iterator[str]:
     shown = ", ".join(sorted(map(str, start))) or "none of what may change holds"
     for episode in range(len(drawn.returns)):
         yield from _wrapped(f"episode {episode + 1}: ", shown)
-        number = 0
+        number, end = 0, _end(task, task.mdp.initial)
         for number, step in enumerate(_steps(task, drawn, episode), start=1):
             binding = ", ".join(f"{name} = {value}" for name, value in step["binding"].items())
             rule = step["rule"] + (f" ({binding})" if binding else "")
             yield from _wrapped(f"{number:4}  ", f"{step['action']}, by rule {rule}")
             changes = [f"- {a}" for a in step["deleted"]] + [f"+ {a}" for a in step["added"]]
             text = f"{step['outcome']}, reward {step['reward']:g}: "
+            end = step["ends"]
+            if end == "sink":
+                changes = ["falls into the sink"]
             yield from _wrapped("      ", text + (", ".join(changes) or "nothing changes"))
-        yield f"      {_ending(task, drawn, episode, number)}, return {drawn.returns[episode]:g}"
+        ending = _ending(drawn, episode, number, end)
+        yield f"      {ending}, return {drawn.returns[episode]:g}"
         yield ""
 
 
-def _ending(task: Task, drawn: Episodes, episode: int, steps: int) -> str:
+def _ending(drawn: Episodes, episode: int, steps: int, end: str) -> str:
     """How an episode ended."""
-    traces, structure = drawn.traces, task.structure
-    assert traces is not None
-    last = task.mdp.initial
-    if steps:
-        last = int(task.mdp.next_state[traces.transition[traces.first[episode + 1] - 1]])
     count = f"{steps} step{'s' * (steps != 1)}"
-    if drawn.goal[episode]:
-        return f"in the goal after {count}"
     if drawn.cut[episode]:
         return f"cut off after {count}"
-    if last == structure.sink:
-        return f"in the sink after {count}"
-    if structure.dead_end[last]:
-        return f"in a dead end after {count}"
+    if end:
+        return f"in {'a' if end == 'dead end' else 'the'} {end} after {count}"
     return f"at the horizon after {count}"
 
 
-def _wrapped(head: str, text: str) -> list[str]:
+def _wrapped(head: str, text: str, indent: int = 10) -> list[str]:
     return textwrap.wrap(
-        text, _WIDTH, initial_indent=head, subsequent_indent=" " * min(len(head), 10),
+        text, _WIDTH, initial_indent=head, subsequent_indent=" " * indent,
         break_long_words=False, break_on_hyphens=False,
     )  # fmt: skip

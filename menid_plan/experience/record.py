@@ -25,9 +25,9 @@ class Experience:
     """An execution of an action.
 
     ``reward`` is None where the environment gives none; ``duration`` is in seconds, measured or
-    nominal as the environment has it. ``episode`` and ``step`` count within the environment.
-    ``seed`` is what the execution drew its chances from. ``when`` is in seconds since 1970.
-    ``explanation`` is None where no rule of the action covers the state.
+    nominal as the environment has it. ``seed`` is what the execution drew its chances from, ``when``
+    the time at its end in seconds since 1970. ``explanation`` is None where no rule of the action
+    covers the state.
     """
 
     environment: str
