@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
+import signal
+import struct
+import subprocess
+import sys
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +17,8 @@ import pytest
 from click.testing import Result
 
 from conftest import ROOT
+from menid_plan.cli.tasks import Display
+from menid_plan.planning import Task
 
 Menid = Callable[..., Result]
 
@@ -96,22 +104,279 @@ def test_the_policy_file_says_what_to_do_in_every_state_it_reaches(
     assert {entry["action"] for entry in flat} == {"change"}
 
 
+ENDLESS = "action a { rule r { outcomes { o: 1 p } } } problem t for d"
+TIE = "action a { rule r { outcomes { o: 1/3 p noise: 2/3 } } } problem t for d goal p discount 0.9"
+
+
 @pytest.mark.parametrize(
     ("text", "arguments", "code", "message"),
     [
-        ("action a { rule r { outcomes { o: 1 p } } } problem t for d", [], 1, "unbounded"),
+        (ENDLESS, [], 1, "unbounded"),
+        (ENDLESS, [], 1, "value             inf, between inf and inf"),
         ("problem t for d goal p", [], 0, "goal probability  0"),
+        (f"{ENDLESS} goal q", [], 0, "goal probability  0"),
+        (f"{ENDLESS} goal q", ["--objective", "steps"], 1, "infeasible"),
         ("problem t for d", [], 0, "first action      none"),
         ("problem t for d", ["--env", "sim"], 3, "there is no environment `sim`"),
         ("problem t for d", ["--solver", "magic"], 2, "there is no solver `magic`"),
-        ("problem t for d", ["--epsilon", "0"], 2, ""),
+        ("problem t for d", ["--solver", "thompson"], 4, "`thompson` decides step by step"),
+        ("problem t for d", ["--epsilon", "0"], 2, "0.0 is not in the range x>0"),
+        ("problem t for d", ["--epsilon", "-1"], 2, "-1.0 is not in the range x>0"),
+        ("problem t for d", ["--epsilon", "nan"], 2, "nan is not a finite number"),
+        ("problem t for d", ["--epsilon", "inf"], 2, "inf is not a finite number"),
+        ("problem t for d", ["--epsilon", "few"], 2, "'few' is not a valid float range"),
+        (TIE, ["--epsilon", "1e-300"], 6, "cannot bring them within 1e-300 here"),
+        ("problem t for d", ["--max-seconds", "0"], 2, "0.0 is not in the range x>0"),
+        ("problem t for d", ["--max-seconds", "nan"], 2, "nan is not a finite number"),
+        ("problem t for d", ["--max-iterations", "0"], 2, "0 is not in the range x>=1"),
+        (
+            "problem t for d",
+            ["--solver", "policy-iteration", "--max-seconds", "1"],
+            2,
+            "the solver `policy-iteration` has no option --max-seconds",
+        ),
+        (
+            "problem t for d",
+            ["--solver", "policy-iteration", "--epsilon", "1"],
+            2,
+            "the solver `policy-iteration` has no option --epsilon",
+        ),
+        (TIE, ["--solver", "policy-iteration", "--max-iterations", "9"], 0, "solved"),
+        ("problem t for d", ["--set", "x=1"], 3, "there is no param `x`"),
         ("problem t for d discount 0 horizon 0", [], 0, "value             0.0"),
+        (f"{ENDLESS} horizon 0", [], 0, "value             0.0"),
+        (f"{ENDLESS} discount 0", [], 0, "value             1.0"),
+        (f"{ENDLESS} discount 1", [], 1, "unbounded"),
+        (f"{ENDLESS} discount 1 horizon 3", [], 0, "value             3.0"),
+        (f"{ENDLESS} discount 1.5", [], 3, "discount"),
+        (f"{ENDLESS} horizon 5", ["--max-states", "1"], 6, "more than 1 states can be reached"),
     ],
 )
 def test_odd_problems(
     text: str, arguments: list[str], code: int, message: str, menid: Menid, tmp_path: Path
 ) -> None:
-    (tmp_path / "a.menid").write_text(f"domain d predicate p reward 1 when true {text}")
+    (tmp_path / "a.menid").write_text(f"domain d predicate p predicate q reward 1 when true {text}")
     result = menid("solve", "a.menid", *arguments)
     assert result.exit_code == code, result.output
     assert message in result.output
+
+
+def test_a_solver_that_stops_early_tells_true_bounds(menid: Menid) -> None:
+    lake = problem("slippery-grid/lake")
+    for limit in (("--max-iterations", "3"), ("--max-seconds", "1e-9")):
+        result = menid("solve", lake, "--json", "-o", "p.json", *limit)
+        assert result.exit_code == 6
+        found = json.loads(result.output)
+        assert found["status"] == "limit"
+        assert found["lower"] <= 10.15873 <= found["upper"]
+        assert json.loads(Path("p.json").read_text())["status"] == "limit"
+        simulated = menid("simulate", lake, "--policy", "p.json", "--episodes", "20")
+        assert simulated.exit_code == 0, simulated.output
+
+
+def test_a_value_that_is_not_known(menid: Menid) -> None:
+    result = menid("solve", problem("tireworld/triangle-1"), "--max-seconds", "1e-9", "--json")
+    found = json.loads(result.output)
+    if found["status"] == "limit" and found["lower"] == "-inf":
+        assert found["value"] is None
+
+
+# -------------------------------------------------------------------------------------- drawings
+
+
+def test_dot(menid: Menid, tmp_path: Path) -> None:
+    (tmp_path / "a.menid").write_text(
+        "domain d predicate p predicate q action a cost 1 { rule r { when not p and not q"
+        " outcomes { yes: 0.25 p no: 0.5 nothing bad: 0.25 q } } } problem t for d goal p"
+    )
+    assert menid("solve", "a.menid", "--dot", "a.dot").exit_code == 0
+    lines = (tmp_path / "a.dot").read_text().splitlines()
+    assert lines[0] == "digraph policy {"
+    assert lines[-1] == "}"
+    assert '  n0 [label="none of these\\n[a]"];' in lines
+    assert "  start -> n0;" in lines
+    assert '  n1 [label="p", peripheries=2, fillcolor=honeydew];' in lines
+    assert '  n2 [label="q\\ndead end", fillcolor=gray85];' in lines
+    assert '  n0 -> n1 [label="yes 0.25"];' in lines
+    assert '  n0 -> n0 [label="no 0.5"];' in lines
+    assert '  n0 -> n2 [label="bad 0.25"];' in lines
+
+
+def test_drawings_of_horizons_show_the_steps_left(menid: Menid, tmp_path: Path) -> None:
+    assert menid("solve", problem("hdd/bench"), "--dot", "a.dot").exit_code == 0
+    text = (tmp_path / "a.dot").read_text()
+    assert '[label="in(board, tray)\\n[lever(n8)]\\n1 to 10 left"]' in text
+    assert '[label="in(board, tray)\\nloose(board)\\n[shake(s10)]\\n1 to 9 left"]' in text
+
+
+@pytest.mark.parametrize("kind", ["--dot", "--png"])
+def test_large_policies_are_not_drawn(kind: str, menid: Menid, tmp_path: Path) -> None:
+    result = menid("solve", problem("slippery-grid/lake"), kind, "a.x", "-o", "p.json")
+    assert result.exit_code == 6
+    assert "at most 60 are drawn" in result.output
+    assert "status            solved" in result.output
+    assert (tmp_path / "p.json").exists()
+    assert not (tmp_path / "a.x").exists()
+
+
+@pytest.mark.skipif(find_spec("matplotlib") is None, reason="needs the extra `draw`: matplotlib")
+@pytest.mark.parametrize("name", ["hdd/bench", "slippery-grid/pond"])
+def test_png(name: str, menid: Menid, tmp_path: Path) -> None:
+    assert menid("solve", problem(name), "--png", "a.png").exit_code == 0
+    data = (tmp_path / "a.png").read_bytes()
+    assert data[:8] == b"\x89PNG\r\n\x1a\n"
+    width, height = struct.unpack(">II", data[16:24])
+    assert 200 < width < 6000
+    assert 100 < height < 6000
+
+
+@pytest.mark.skipif(find_spec("matplotlib") is None, reason="needs the extra `draw`: matplotlib")
+@pytest.mark.parametrize(
+    "text",
+    [
+        "problem t for d",
+        "problem t for d goal p init p",
+        "action a { rule r { outcomes { o: 1 p } } } problem t for d horizon 0",
+        "action a { rule r { outcomes { o: 1 p } } } problem t for d horizon 1",
+        "action a { rule r { outcomes { o: 0.5 p noise: 0.5 } } } problem t for d goal p horizon 3",
+    ],
+)
+@pytest.mark.parametrize("noise", ["stay", "sink"])
+def test_drawings_of_next_to_nothing(text: str, noise: str, menid: Menid, tmp_path: Path) -> None:
+    (tmp_path / "a.menid").write_text(f"domain d predicate p {text}")
+    result = menid("solve", "a.menid", "--png", "a.png", "--dot", "a.dot", "--noise", noise)
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "a.png").stat().st_size > 1000
+
+
+def test_an_image_needs_matplotlib(menid: Menid, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setitem(sys.modules, "matplotlib.backends.backend_agg", None)
+    result = menid("solve", problem("hdd/bench"), "--png", "a.png", "--dot", "a.dot")
+    assert result.exit_code == 5
+    assert "pip install 'menid-plan[draw]'" in result.output
+    assert Path("a.dot").exists()
+
+
+# ---------------------------------------------------------------------------- long work, and Ctrl-C
+
+# Two tokens that drift to and fro until both are at the end: sweeps creep.
+DRIFT = """
+domain slow
+type axis
+type cell
+predicate next(cell, cell)
+predicate at(axis, cell)
+action drift(a: axis) cost 1 {
+  rule inside {
+    the c: cell where at(a, c)
+    the u: cell where next(c, u)
+    the d: cell where next(d, c)
+    outcomes { up: 0.5 not at(a, c), at(a, u)  down: 0.5 not at(a, c), at(a, d) }
+  }
+  rule low {
+    the c: cell where at(a, c)
+    the u: cell where next(c, u)
+    when not exists d: cell (next(d, c))
+    outcomes { up: 1 not at(a, c), at(a, u) }
+  }
+}
+problem t for slow
+"""
+
+
+def drift(axes: str, cells: int) -> str:
+    roads = "".join(f"init next(c{i}, c{i + 1})\n" for i in range(1, cells))
+    starts = "".join(f"init at({axis}, c1)\n" for axis in axes)
+    goal = " and ".join(f"at({axis}, c{cells})" for axis in axes)
+    objects = f"object {', '.join(axes)}: axis\nobject c1..c{cells}: cell\n"
+    return f"{DRIFT}{objects}{roads}{starts}goal {goal}\ndiscount 0.9999999\n"
+
+
+# Without a terminal, progress is told at once and often.
+_MENID = (
+    "from menid_plan.cli.main import main; from menid_plan.cli.tasks import Display;"
+    "Display.FIRST = Display.EVERY = 0.2; main()"
+)
+
+
+def interrupted(word: str, *arguments: str) -> tuple[str, str, int]:
+    """What `menid solve` prints if it gets SIGINT after a line with that word; its exit code."""
+    with subprocess.Popen(
+        [sys.executable, "-c", _MENID, "solve", *arguments],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        assert process.stderr is not None
+        seen = ""
+        for line in process.stderr:
+            seen += line
+            if word in line:
+                process.send_signal(signal.SIGINT)
+                break
+        out, err = process.communicate(timeout=60)
+    return out, seen + err, process.returncode
+
+
+def test_interrupted_while_solving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.menid").write_text(drift("xy", 120))
+    out, err, code = interrupted("solving:", "a.menid", "--json", "-o", "p.json")
+    assert code == 6, err
+    assert "iterations" in err
+    found = json.loads(out)
+    assert found["status"] == "limit"
+    assert found["states"] == 120 * 120
+    assert -1.001e7 <= found["lower"] <= -(119**2) <= found["upper"] <= 0
+    policy = json.loads((tmp_path / "p.json").read_text())
+    assert policy["status"] == "limit"
+    assert policy["lower"] == found["lower"]
+
+
+def test_interrupted_while_exploring(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.menid").write_text(drift("wxyz", 40))  # 3 million states
+    out, err, code = interrupted("exploring:", "a.menid", "-o", "p.json")
+    assert code == 6, err
+    assert out == ""
+    last = err.splitlines()[-1]
+    assert re.fullmatch(
+        r"menid: interrupted while exploring: \d+ states found, \d+ expanded, \d+ transitions", last
+    )
+    assert not (tmp_path / "p.json").exists()
+
+
+def test_a_solver_that_does_not_catch_an_interrupt(
+    menid: Menid, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Task, "solve", interrupt)
+    result = menid("solve", problem("hdd/bench"), "--json")
+    assert result.exit_code == 6
+    found = json.loads(result.output)
+    assert (found["value"], found["lower"], found["upper"]) == (None, "-inf", "inf")
+    assert "interrupted before anything was known" in (
+        menid("solve", problem("hdd/bench")).output
+    )  # fmt: skip
+
+
+def test_progress_on_a_terminal_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    display = Display()
+    display.terminal = True
+    display._next = 0.0
+    with display:
+        display.exploring(3, 2, 5)
+        display._next = 0.0
+        display.solving(7, -1.0, 2.5)
+        display.solving(8, -1.0, 2.5)  # too soon
+    said = capsys.readouterr().err
+    assert "\n" not in said
+    parts = said.split("\r\x1b[K")
+    assert parts[1].startswith("exploring: 3 states found, 2 expanded, 5 transitions, ")
+    assert parts[2].startswith("solving: 7 iterations, value between -1 and 2.5, ")
+    assert parts[3:] == [""]  # cleared
+
+
+def test_short_work_is_silent(menid: Menid) -> None:
+    assert menid("solve", problem("hdd/bench")).stderr == ""

@@ -78,7 +78,7 @@ class Display:
 
     def __exit__(self, *_: object) -> None:
         if self._shown:
-            click.echo("\r\x1b[K", err=True, nl=False)
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
             self._shown = False
 
     def exploring(self, states: int, expanded: int, transitions: int) -> None:
@@ -101,7 +101,7 @@ class Display:
         if self.terminal:
             self._shown = True
             self._next = now + 0.1
-            click.echo(f"\r\x1b[K{text[:79]}", err=True, nl=False)
+            print(f"\r\x1b[K{text[:79]}", end="", file=sys.stderr, flush=True)
         else:
             self._next = now + self.EVERY
             click.echo(text, err=True)
