@@ -102,7 +102,7 @@ def command(
                 raise click.UsageError(f"--{option} is for a solver; `{source}` is a file")
         policy = _read(source, domain, problem)
         environment = environment or policy.environment
-        settings = settings or dict(policy.params)
+        settings = {**policy.params, **settings}
         noise = noise or policy.noise
     task = Task(
         domain, problem, environment, settings, "sink" if noise == "sink" else "stay", max_states
