@@ -28,6 +28,7 @@ from menid_plan.model.formulas import (
     Not,
     Or,
     Quantified,
+    Term,
     Truth,
     TypedVariable,
     Variable,
@@ -46,7 +47,11 @@ from menid_plan.model.strata import is_recursive, strata
 # Formulas grounded before giving up: about a minute of work.
 MAX_WORK = 20_000_000
 
+TRUTH = Truth(True)
+
 Candidates: TypeAlias = list[tuple[tuple[str, ...], Signal]]
+Lookup: TypeAlias = tuple[str, int, tuple[tuple[int, Term], ...]]
+"""A predicate, the place of the argument that is looked for, and the arguments that are known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +102,11 @@ class Instantiation:
         self._free: dict[int, tuple[str, ...]] = {}
         self._kept: list[object] = []  # keeps what `_free` knows by its identity alive
         self._work = max_work
+        self._plans: dict[
+            tuple[int, int, bool], tuple[list[str], list[list[Formula]], list[list[Lookup]]]
+        ] = {}
+        self._indices: dict[tuple[str, int, tuple[int, ...]], dict[tuple[str, ...], list[str]]] = {}
+        self._range_sets: dict[tuple[str, ...], frozenset[str]] = {}
 
     # ------------------------------------------------------------------------------- formulas
 
@@ -161,27 +171,25 @@ class Instantiation:
                 found = self._satisfying(variables, body, binding)
                 return circuit.disjunction([signal for _, signal in found])
             case ForAll(variables, body):
-                found = self._satisfying(variables, Not(body), binding)
+                found = self._satisfying(variables, body, binding, negated=True)
                 return circuit.disjunction([signal for _, signal in found]) ^ 1
             case Count(variables, body, comparison, number):
                 signals = [signal for _, signal in self._satisfying(variables, body, binding)]
                 return circuit.count(signals, comparison, number)
 
     def _satisfying(
-        self, variables: Sequence[TypedVariable], formula: Formula, binding: Binding
+        self,
+        variables: Sequence[TypedVariable],
+        formula: Formula,
+        binding: Binding,
+        negated: bool = False,
     ) -> Candidates:
-        """The tuples for which a formula is not false, each with its signal.
+        """The tuples for which a formula (or its negation) is not false, each with its signal.
 
         Each conjunct is looked at as soon as all its variables are bound, so that a false one spares
-        the tuples that begin alike.
+        the tuples that begin alike; atoms that never change tell which objects are worth a look.
         """
-        parts = _conjuncts(formula)
-        names = [variable.name for variable in variables]
-        due: list[list[Formula]] = [[] for _ in range(len(names) + 1)]
-        for part in parts:
-            free = self._free_variables(part)
-            last = max((names.index(name) + 1 for name in free if name in names), default=0)
-            due[last].append(part)
+        names, due, lookups = self._plan(variables, formula, negated)
         found: Candidates = []
         inner = dict(binding)
 
@@ -196,12 +204,67 @@ class Instantiation:
                 if whole != FALSE:
                     found.append((tuple(inner[name] for name in names), whole))
                 return
-            for name in self.range_of(variables[index].types):
+            for name in self._choices(variables[index], lookups[index], inner):
                 inner[names[index]] = name
                 bind(index + 1, signals)
 
         bind(0, [])
         return found
+
+    def _plan(
+        self, variables: Sequence[TypedVariable], formula: Formula, negated: bool
+    ) -> tuple[list[str], list[list[Formula]], list[list[Lookup]]]:
+        """In which order variables are bound: their names, what is due after each, and lookups."""
+        key = (id(formula), id(variables), negated)
+        if key not in self._plans:
+            names = [variable.name for variable in variables]
+            due: list[list[Formula]] = [[] for _ in range(len(names) + 1)]
+            lookups: list[list[Lookup]] = [[] for _ in names]
+            for part in _conjuncts(Not(formula) if negated else formula):
+                places = [names.index(v) + 1 for v in self._free_variables(part) if v in names]
+                last = max(places, default=0)
+                due[last].append(part)
+                if last and isinstance(part, Atom) and self._is_static(part):
+                    lookups[last - 1].append(_lookup(part, names[last - 1]))
+            self._plans[key] = (names, due, lookups)
+            self._kept.append((formula, variables))
+        return self._plans[key]
+
+    def _is_static(self, atom: Atom) -> bool:
+        return atom.predicate not in self.changing and atom.predicate not in self._derived
+
+    def _choices(
+        self, variable: TypedVariable, lookups: list[Lookup], inner: Binding
+    ) -> Sequence[str]:
+        """The objects that a variable may name, in order of declaration; perhaps too many."""
+        possible = self.range_of(variable.types)
+        if not lookups:
+            return possible
+        fewest: list[str] | None = None
+        for predicate, place, others in lookups:
+            values = tuple(object_named(term, inner) for _, term in others)
+            places = tuple(position for position, _ in others)
+            some = self._indexed(predicate, place, places).get(values, [])
+            if fewest is None or len(some) < len(fewest):
+                fewest = some
+        assert fewest is not None
+        members = self._range_sets.setdefault(variable.types, frozenset(possible))
+        return [name for name in fewest if name in members]
+
+    def _indexed(
+        self, predicate: str, place: int, others: tuple[int, ...]
+    ) -> dict[tuple[str, ...], list[str]]:
+        """Of the atoms of a predicate that never change: one argument by some of the others."""
+        key = (predicate, place, others)
+        if key not in self._indices:
+            index: dict[tuple[str, ...], set[str]] = {}
+            for atom in self.init:
+                if atom.predicate == predicate:
+                    values = tuple(atom.arguments[other] for other in others)
+                    index.setdefault(values, set()).add(atom.arguments[place])
+            order = self._order.__getitem__
+            self._indices[key] = {k: sorted(some, key=order) for k, some in index.items()}
+        return self._indices[key]
 
     def range_of(self, types: tuple[str, ...]) -> tuple[str, ...]:
         """The objects of any of these types, each once, in order of declaration."""
@@ -262,8 +325,25 @@ class Instantiation:
                 yield from (rule for rule in found if rule.condition != FALSE)
 
     def _instances(self, action: Action) -> Iterator[tuple[GroundAction, dict[str, str]]]:
-        for names, _ in self._satisfying(action.parameters, Truth(True), {}):
-            keys = (parameter.name for parameter in action.parameters)
+        """The objects that an action may be for: those that what never changes allows some rule."""
+        keys = [parameter.name for parameter in action.parameters]
+        if any(rule.otherwise for rule in action.rules):
+            allowed = {names for names, _ in self._satisfying(action.parameters, TRUTH, {})}
+        else:
+            allowed = set()
+            for rule in action.rules:
+                parts = [
+                    part
+                    for part in _conjuncts(rule.condition)
+                    if set(self._free_variables(part)) <= set(keys)
+                    and (
+                        isinstance(part, Equality)
+                        or (isinstance(part, Atom) and self._is_static(part))
+                    )
+                ]
+                found = self._satisfying(action.parameters, And(tuple(parts)), {})
+                allowed.update(names for names, _ in found)
+        for names in sorted(allowed, key=lambda names: [self._order[name] for name in names]):
             yield GroundAction(action.name, names), dict(zip(keys, names, strict=True))
 
     def _rule(self, ground: GroundAction, rule: Rule, binding: Binding) -> Iterator[GroundRule]:
@@ -333,9 +413,24 @@ class Instantiation:
 
 
 def _conjuncts(formula: Formula) -> list[Formula]:
-    if isinstance(formula, And):
-        return [part for operand in formula.formulas for part in _conjuncts(operand)]
+    """The formulas whose conjunction a formula is, as far as its outermost connectives tell."""
+    match formula:
+        case And(formulas):
+            return [part for operand in formulas for part in _conjuncts(operand)]
+        case Not(Not(operand)):
+            return _conjuncts(operand)
+        case Not(Or(formulas)):
+            return [part for operand in formulas for part in _conjuncts(Not(operand))]
+        case Not(Implies(left, right)):
+            return [*_conjuncts(left), *_conjuncts(Not(right))]
     return [formula]
+
+
+def _lookup(atom: Atom, name: str) -> Lookup:
+    """How to look a variable up by an atom whose other variables are bound before it."""
+    is_it = [isinstance(term, Variable) and term.name == name for term in atom.arguments]
+    others = ((i, term) for i, term in enumerate(atom.arguments) if not is_it[i])
+    return atom.predicate, is_it.index(True), tuple(others)
 
 
 def _free_variables(formula: Formula) -> set[str]:
