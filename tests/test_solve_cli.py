@@ -380,3 +380,10 @@ def test_progress_on_a_terminal_is_one_line(capsys: pytest.CaptureFixture[str]) 
 
 def test_short_work_is_silent(menid: Menid) -> None:
     assert menid("solve", problem("hdd/bench")).stderr == ""
+
+
+def test_the_answer_is_printed_even_if_a_file_cannot_be_written(menid: Menid) -> None:
+    result = menid("solve", problem("hdd/bench"), "-o", "nowhere/p.json")
+    assert result.exit_code == 2
+    assert "status            solved" in result.output
+    assert "nowhere" in result.output

@@ -11,6 +11,7 @@ import click
 
 from menid_plan.cli.common import json_option, load_both, opened, replace_file
 from menid_plan.cli.tasks import Display, build, solve, task_options
+from menid_plan.errors import MenidError
 
 if TYPE_CHECKING:
     from menid_plan.planning import Task
@@ -72,17 +73,17 @@ def command(
     build(task, display)
     solution = solve(task, solver, objective, display)
     result = _result(task, solution, startup)
+    failure = None
+    try:  # files first: who reads our output may leave early
+        _write(task, solution, output, dot, png)
+    except (MenidError, OSError) as error:
+        failure = error
     if as_json:
         click.echo(json.dumps(result, indent=2))
     else:
         _show(result, solution.message)
-    if output is not None:
-        from menid_plan.policy_file import policy_text
-
-        with opened(output) as stream:
-            stream.write(policy_text(task.policy(solution)))
-    if dot is not None or png is not None:
-        _draw(task, solution, dot, png)
+    if failure is not None:
+        raise failure
     if solution.status in ("unbounded", "infeasible"):
         ctx.exit(1)
     if solution.status == "limit":
@@ -117,7 +118,16 @@ def _result(task: Task, solution: Solution, startup: float) -> dict[str, Any]:
     }
 
 
-def _draw(task: Task, solution: Solution, dot: Path | None, png: Path | None) -> None:
+def _write(
+    task: Task, solution: Solution, output: Path | None, dot: Path | None, png: Path | None
+) -> None:
+    if output is not None:
+        from menid_plan.policy_file import policy_text
+
+        with opened(output) as stream:
+            stream.write(policy_text(task.policy(solution)))
+    if dot is None and png is None:
+        return
     from menid_plan.exchange.drawing import dot_text, drawing_of
 
     drawing = drawing_of(task.structure, task.mdp, solution)

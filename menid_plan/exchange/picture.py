@@ -1,17 +1,19 @@
 """A drawing of a policy as a PNG image, by Matplotlib.
 
 The layout is Sugiyama's (Sugiyama, Tagawa and Toda 1981): layers by the number of steps from the
-initial state, left to right; within a layer an order with few crossings, found by barycentres; then
-heights that keep the order and bring neighbours close. All lengths are in points, 1/72 inch.
+initial state, left to right, or downwards where that comes closer to the shape of a page; within a
+layer an order with few crossings, found by barycentres; then places that keep
+the order and bring neighbours close. All lengths are in points, 1/72 inch.
 """
 
 from __future__ import annotations
 
 import io
 import itertools
+import math
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
+from typing import Any, TypeAlias
 
 from menid_plan.exchange.drawing import Drawing, Node
 from menid_plan.solving import MissingDependencyError
@@ -22,30 +24,35 @@ _PAD = 6.0
 _APART = 16.0  # between two boxes of a layer
 _GAP = 46.0  # between two layers, beside the labels of the edges
 _SWEEPS = 24
+_SHAPE = 1.6  # the width of a page by its height
+_SMALL = 8.0
+_TOP = 34.0
 
 _FILL = {"": "white", "goal": "#e3f4e1"}
 _FILL_INITIAL = "#e4eefb"
 _FILL_END = "#e6e6e6"
 _INK = "#333333"
 
+_Point: TypeAlias = tuple[float, float]
+_Rectangle: TypeAlias = tuple[float, float, float, float]
+
 
 @dataclass(slots=True, eq=False)
 class _Box:
-    """A node with its size and place, or (without a node) a point where an edge passes a layer."""
+    """A node with its size and place, or (without a node) a point where an edge passes a layer.
+
+    The layout speaks of *along*, the direction from layer to layer, and *across* it. ``at`` is where
+    the box begins along, ``middle`` its middle across; ``room`` is what a loop takes before it, across.
+    """
 
     layer: int
     node: Node | None = None
-    width: float = 0.0
-    height: float = 10.0
-    above: float = 0.0  # room for a loop
-    x: float = 0.0
-    y: float = 0.0
+    along: float = 0.0
+    across: float = 10.0
+    room: float = 0.0
+    at: float = 0.0
+    middle: float = 0.0
     near: list[_Box] = field(default_factory=list)
-
-    @property
-    def span(self) -> float:
-        """The height with the loop's room."""
-        return self.height + self.above
 
 
 @dataclass(slots=True, eq=False)
@@ -66,7 +73,8 @@ def png_bytes(drawing: Drawing, dpi: int = 130) -> bytes:
         raise MissingDependencyError(
             "drawing an image needs Matplotlib: pip install 'menid-plan[draw]'; --dot needs nothing"
         ) from error
-    picture = _Picture(drawing)
+    pictures = [_Picture(drawing, down=down) for down in (False, True)]
+    picture = min(pictures, key=lambda p: abs(math.log(p.size[0] / p.size[1] / _SHAPE)))
     width, height = picture.size
     figure = Figure(figsize=(width / 72, height / 72), facecolor="white")
     canvas = FigureCanvasAgg(figure)
@@ -105,8 +113,9 @@ def _node_lines(node: Node) -> list[tuple[str, bool]]:
 class _Picture:
     """The layout of a drawing, and how it is drawn."""
 
-    def __init__(self, drawing: Drawing) -> None:
+    def __init__(self, drawing: Drawing, *, down: bool) -> None:
         self.drawing = drawing
+        self.down = down
         self.boxes = self._sized()
         self.paths: list[_Path] = []
         self.loops: list[tuple[_Box, tuple[str, ...], float]] = []
@@ -116,7 +125,7 @@ class _Picture:
         self._route()
         self._order()
         self._place()
-        self.labels: list[tuple[float, float, float, float]] = []
+        self.labels: list[_Rectangle] = []
 
     def _sized(self) -> list[_Box]:
         """A box for every node, in the layer of its distance from the first."""
@@ -132,10 +141,15 @@ class _Picture:
         for number, node in enumerate(nodes):
             lines = _node_lines(node)
             width = max((_text_width(line, bold=bold) for line, bold in lines), default=0.0)
-            box = _Box(depth.get(number, 0), node, width + 2 * _PAD + 4)
-            box.height = len(lines) * _LINE + 2 * _PAD
-            boxes.append(box)
+            size = (width + 2 * _PAD + 4, len(lines) * _LINE + 2 * _PAD)
+            along, across = size[::-1] if self.down else size
+            boxes.append(_Box(depth.get(number, 0), node, along, across))
         return boxes
+
+    def _label_size(self, lines: tuple[str, ...]) -> tuple[float, float]:
+        """The size of an edge's label along and across."""
+        wide = max((_text_width(line, size=_SMALL) for line in lines), default=0.0)
+        return (9.5 * len(lines), wide) if self.down else (wide, 9.5 * len(lines))
 
     def _route(self) -> None:
         """Lead edges that go back over several layers through points of their own."""
@@ -143,7 +157,7 @@ class _Picture:
             source, target = self.boxes[edge.source], self.boxes[edge.target]
             if source is target:
                 self.loops.append((source, edge.lines, edge.probability))
-                source.above = 16.0 + 9.0 * len(edge.lines)
+                source.room = 20.0 + self._label_size(edge.lines)[1]
                 continue
             way = [source]
             step = 1 if target.layer > source.layer else -1
@@ -193,41 +207,53 @@ class _Picture:
         return total
 
     def _place(self) -> None:
-        """Give every box its place: the middle of its left side."""
-        top = 34.0
+        """Give every box its place."""
         for layer in self.layers:
-            y = 0.0
+            end = 0.0
             for box in layer:
-                box.y = y + box.above + box.height / 2
-                y += box.span + _APART
+                box.middle = end + box.room + box.across / 2
+                end = box.middle + box.across / 2 + _APART
         for sweep in range(60):
-            order = self.layers if sweep % 2 == 0 else self.layers[::-1]
-            for layer in order:
+            for layer in self.layers if sweep % 2 == 0 else self.layers[::-1]:
                 _settle(layer)
-        highest = min(box.y - box.height / 2 - box.above for layer in self.layers for box in layer)
-        x = 30.0
+        every = [box for layer in self.layers for box in layer]
+        least = min(box.middle - box.across / 2 - box.room for box in every)
+        start = 18.0 if self.down else _TOP
+        at = _TOP + 26.0 if self.down else 30.0
         for number, layer in enumerate(self.layers):
-            widest = max(box.width for box in layer)
+            longest = max(box.along for box in layer)
             for box in layer:
-                box.x = x + (widest - box.width) / 2
-                box.y += top - highest
-            x += widest + self._gap(number)
-        last = max(box.x + box.width for layer in self.layers for box in layer)
-        lowest = max(box.y + box.height / 2 for layer in self.layers for box in layer)
+                box.at = at + (longest - box.along) / 2
+                box.middle += start - least
+            at += longest + self._gap(number)
+        size = (
+            max(box.at + box.along for box in every) + (20.0 if self.down else 46.0),
+            max(box.middle + box.across / 2 for box in every) + 20.0,
+        )
+        width, height = self._point(*size)
         title = _text_width(self.drawing.title, bold=True, size=11) + 24
-        self.size = (max(last + 46, title), lowest + 16)
+        self.size = (max(width, title), height)
 
     def _gap(self, number: int) -> float:
         """The room between a layer and the next."""
-        here, there = set(map(id, self.layers[number])), set()
-        if number + 1 < len(self.layers):
-            there = set(map(id, self.layers[number + 1]))
-        wide = 0.0
+        beside = {id(box) for layer in self.layers[number : number + 2] for box in layer}
+        here = {id(box) for box in self.layers[number]}
+        size = 0.0
         for path in self.paths:
             ends = {id(path.boxes[0]), id(path.boxes[1])}
-            if ends <= here | there and ends & here:
-                wide = max([wide, *(_text_width(line, size=8) for line in path.lines)])
-        return wide + _GAP
+            if ends <= beside and ends & here:
+                size = max(size, self._label_size(path.lines)[0])
+        return size + (42.0 if self.down else _GAP)
+
+    def _point(self, along: float, across: float) -> _Point:
+        """A point of the layout on the page."""
+        return (across, along) if self.down else (along, across)
+
+    def _rectangle(self, box: _Box) -> _Rectangle:
+        """The box on the page: left, top, right, bottom."""
+        first = self._point(box.at, box.middle - box.across / 2)
+        last = self._point(box.at + box.along, box.middle + box.across / 2)
+        return (*first, *last)
 
     # --------------------------------------------------------------------------------- drawing
 
@@ -235,60 +261,58 @@ class _Picture:
         """Draw edges, then boxes over them, then the edges' labels."""
         axes.text(12, 16, self.drawing.title, size=11, weight="bold", color=_INK, va="center")
         ports = self._ports()
-        curves = [self._curve(path, ports) for path in self.paths]
+        curves = [self._curve(number, ports) for number in range(len(self.paths))]
         for path, curve in zip(self.paths, curves, strict=True):
             self._arrow(axes, curve, path.chance)
         for box, _, chance in self.loops:
-            x, y = box.x + box.width / 2, box.y - box.height / 2
-            r = 11.0
-            curve = [(x - r, y), (x - r, y - 2 * r), (x + r, y - 2 * r), (x + r, y)]
-            self._arrow(axes, curve, chance)
+            at, side, r = box.at + box.along / 2, box.middle - box.across / 2, 11.0
+            loop = [(at - r, side), (at - r, side - 2 * r), (at + r, side - 2 * r), (at + r, side)]
+            self._arrow(axes, [self._point(*point) for point in loop], chance)
         for box in self.boxes:
             self._box(axes, box)
         for box, lines, _ in self.loops:
-            y = box.y - box.height / 2 - 16 - 4.5 * len(lines)
-            self._label(axes, [(box.x + box.width / 2, y)], lines)
+            side = box.middle - box.across / 2 - 18 - self._label_size(lines)[1] / 2
+            self._label(axes, [self._point(box.at + box.along / 2, side)], lines)
         for path, curve in zip(self.paths, curves, strict=True):
             places = [_at(curve, t) for t in (0.5, 0.42, 0.58, 0.34, 0.66, 0.26, 0.74, 0.18, 0.82)]
             self._label(axes, places, path.lines)
 
-    def _ports(self) -> dict[tuple[int, int], tuple[float, float]]:
+    def _ports(self) -> dict[tuple[int, int], _Point]:
         """Where each path leaves its first box and enters its last: by path and end (0 or 1)."""
-        sides: dict[tuple[int, str], list[tuple[float, int, int]]] = {}
+        sides: dict[tuple[int, bool], list[tuple[float, int, int]]] = {}
         for number, path in enumerate(self.paths):
             for end, (box, other) in enumerate(
                 ((path.boxes[0], path.boxes[1]), (path.boxes[-1], path.boxes[-2]))
             ):
-                side = "left" if other.layer < box.layer else "right"
-                sides.setdefault((id(box), side), []).append((other.y, number, end))
+                before = other.layer < box.layer
+                sides.setdefault((id(box), before), []).append((other.middle, number, end))
         found = {}
         by_id = {id(box): box for box in self.boxes}
-        for (identity, side), ends in sides.items():
+        for (identity, before), ends in sides.items():
             box = by_id[identity]
             for index, (_, number, end) in enumerate(sorted(ends)):
                 part = (index + 1) / (len(ends) + 1) - 0.5
-                x = box.x if side == "left" else box.x + box.width
-                found[number, end] = (x, box.y + part * box.height * 0.8)
+                at = box.at if before else box.at + box.along
+                found[number, end] = (at, box.middle + part * box.across * 0.8)
         return found
 
-    def _curve(
-        self, path: _Path, ports: dict[tuple[int, int], tuple[float, float]]
-    ) -> list[tuple[float, float]]:
-        """The control points of a path's cubic Bezier curves, one after the other."""
-        number = self.paths.index(path)
+    def _curve(self, number: int, ports: dict[tuple[int, int], _Point]) -> list[_Point]:
+        """The control points of a path's cubic Bezier curves, one after the other, on the page."""
+        path = self.paths[number]
         first, last = ports[number, 0], ports[number, 1]
         if path.boxes[0].layer == path.boxes[-1].layer:
             out = 26.0 + 0.08 * abs(first[1] - last[1])
-            return [first, (first[0] + out, first[1]), (last[0] + out, last[1]), last]
-        points = [first, *((p.x, p.y) for p in path.boxes[1:-1]), last]
+            curve = [first, (first[0] + out, first[1]), (last[0] + out, last[1]), last]
+            return [self._point(*point) for point in curve]
+        points = [first, *((p.at, p.middle) for p in path.boxes[1:-1]), last]
         curve = [first]
         for one, other in itertools.pairwise(points):
             bend = 0.45 * (other[0] - one[0])
             curve += [(one[0] + bend, one[1]), (other[0] - bend, other[1]), other]
-        return curve
+        return [self._point(*point) for point in curve]
 
     @staticmethod
-    def _arrow(axes: Any, curve: list[tuple[float, float]], chance: float) -> None:
+    def _arrow(axes: Any, curve: list[_Point], chance: float) -> None:
         from matplotlib.patches import FancyArrowPatch
         from matplotlib.path import Path
 
@@ -306,42 +330,41 @@ class _Picture:
         node = box.node
         assert node is not None
         fill = _FILL_INITIAL if node.initial else _FILL.get(node.end, _FILL_END)
-        top = box.y - box.height / 2
+        left, top, right, bottom = self._rectangle(box)
         outlines = (0.0, 2.5) if node.end == "goal" else (0.0,)
         for inset in outlines:
             axes.add_patch(
                 FancyBboxPatch(
-                    (box.x + inset, top + inset), box.width - 2 * inset, box.height - 2 * inset,
+                    (left + inset, top + inset), right - left - 2 * inset, bottom - top - 2 * inset,
                     boxstyle="round,pad=0,rounding_size=5", facecolor=fill, edgecolor=_INK,
                     linewidth=1.6 if node.initial else 0.9, zorder=2,
                     linestyle="--" if node.end and node.end != "goal" else "-",
                 )
             )  # fmt: skip
         if node.initial:
+            start = [self._point(at, box.middle) for at in (box.at - 22, box.at)]
             axes.add_patch(
                 FancyArrowPatch(
-                    (box.x - 22, box.y), (box.x, box.y), arrowstyle="-|>", mutation_scale=11,
-                    color=_INK, linewidth=1.6, shrinkA=0, shrinkB=0, zorder=1,
+                    *start, arrowstyle="-|>", mutation_scale=11, color=_INK, linewidth=1.6,
+                    shrinkA=0, shrinkB=0, zorder=1,
                 )
             )  # fmt: skip
         for index, (line, bold) in enumerate(_node_lines(node)):
             axes.text(
-                box.x + box.width / 2, top + _PAD + (index + 0.5) * _LINE, line, size=_FONT,
+                (left + right) / 2, top + _PAD + (index + 0.5) * _LINE, line, size=_FONT,
                 weight="bold" if bold else "normal", color="#0b4f9e" if bold else _INK,
                 ha="center", va="center_baseline", zorder=3,
             )  # fmt: skip
 
-    def _label(self, axes: Any, places: list[tuple[float, float]], lines: tuple[str, ...]) -> None:
+    def _label(self, axes: Any, places: list[_Point], lines: tuple[str, ...]) -> None:
         """Write an edge's label where it hides the least."""
         if not lines:
             return
-        width = max(_text_width(line, size=8) for line in lines) + 4
+        width = max(_text_width(line, size=_SMALL) for line in lines) + 4
         height = 9.5 * len(lines) + 2
-        taken = self.labels + [
-            (b.x, b.y - b.height / 2, b.x + b.width, b.y + b.height / 2) for b in self.boxes
-        ]
+        taken = self.labels + [self._rectangle(box) for box in self.boxes]
 
-        def hidden(place: tuple[float, float]) -> float:
+        def hidden(place: _Point) -> float:
             x, y = place
             own = (x - width / 2, y - height / 2, x + width / 2, y + height / 2)
             return sum(_overlap(own, other) for other in taken)
@@ -349,7 +372,7 @@ class _Picture:
         x, y = min(places, key=hidden)
         self.labels.append((x - width / 2, y - height / 2, x + width / 2, y + height / 2))
         axes.text(
-            x, y, "\n".join(lines), size=8, color="#7a3b00", ha="center", va="center", zorder=4,
+            x, y, "\n".join(lines), size=_SMALL, color="#7a3b00", ha="center", va="center", zorder=4,
             linespacing=1.05,
             bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none",
                   "alpha": 0.85},
@@ -357,19 +380,18 @@ class _Picture:
 
 
 def _settle(layer: list[_Box]) -> None:
-    """Move the boxes of a layer to the mean heights of their neighbours, in order and apart.
+    """Move the boxes of a layer to the mean places of their neighbours, in order and apart.
 
     The least squares under these constraints, by pooling adjacent violators.
     """
     offsets, total = [], 0.0
     for index, box in enumerate(layer):
         if index:
-            before = layer[index - 1]
-            total += before.height / 2 + _APART + box.above + box.height / 2
+            total += layer[index - 1].across / 2 + _APART + box.room + box.across / 2
         offsets.append(total)
     pools: list[tuple[float, int]] = []  # mean, number of boxes
     for box, offset in zip(layer, offsets, strict=True):
-        wanted = sum(b.y for b in box.near) / len(box.near) if box.near else box.y
+        wanted = sum(b.middle for b in box.near) / len(box.near) if box.near else box.middle
         mean, size = wanted - offset, 1
         while pools and pools[-1][0] > mean:
             other, count = pools.pop()
@@ -377,10 +399,10 @@ def _settle(layer: list[_Box]) -> None:
         pools.append((mean, size))
     places = [mean for mean, size in pools for _ in range(size)]
     for box, offset, place in zip(layer, offsets, places, strict=True):
-        box.y = place + offset
+        box.middle = place + offset
 
 
-def _at(curve: list[tuple[float, float]], t: float) -> tuple[float, float]:
+def _at(curve: list[_Point], t: float) -> _Point:
     """A point of a curve of cubic pieces, t from 0 to 1."""
     pieces = (len(curve) - 1) // 3
     piece = min(int(t * pieces), pieces - 1)
@@ -393,9 +415,7 @@ def _at(curve: list[tuple[float, float]], t: float) -> tuple[float, float]:
     )
 
 
-def _overlap(
-    one: tuple[float, float, float, float], other: tuple[float, float, float, float]
-) -> float:
+def _overlap(one: _Rectangle, other: _Rectangle) -> float:
     """The area that two rectangles share."""
     width = min(one[2], other[2]) - max(one[0], other[0])
     height = min(one[3], other[3]) - max(one[1], other[1])
