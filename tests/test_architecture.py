@@ -23,6 +23,7 @@ ALLOWED = {
     "language": {"source", "errors", "resources", "model"},
     "grounding": {"source", "errors", "model"},
     "compiled": set(),
+    "experience": {"source", "errors", "model", "grounding", "language"},
     "memory": {"errors"},
     "mdp": {"source", "errors", "model", "grounding", "compiled", "memory"},
     "solving": {"source", "errors", "model", "grounding", "mdp"},
