@@ -296,6 +296,7 @@ def drift(axes: str, cells: int) -> str:
 # Without a terminal, progress is told at once and often.
 _MENID = (
     "from menid_plan.cli.main import main; from menid_plan.cli.tasks import Display;"
+    "from menid_plan.mdp import explore; explore._BATCH = 3000;"
     "Display.FIRST = Display.EVERY = 0.2; main()"
 )
 
