@@ -48,12 +48,9 @@ def experiences(
             number = numbers[environment, action] = numbers.get((environment, action), -1) + 1
             explanation = attributor.explain(state, action, after)
             seed = int(rng.integers(2**63))
-            made.append(
-                Experience(
-                    environment, state, action, after, None, 0.4, seed, 1.7e9 + begin, explanation,
-                    number,
-                )  # fmt: skip
-            )
+            made.append(Experience(
+                environment, state, action, after, None, 0.4, seed, 1.7e9 + begin, explanation, number
+            ))  # fmt: skip
         yield made
 
 

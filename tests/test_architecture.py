@@ -42,6 +42,7 @@ ALLOWED = {
         "mdp",
         "solving",
         "exchange",
+        "experience",
         "planning",
         "policy",
         "policy_file",

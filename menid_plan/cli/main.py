@@ -16,6 +16,7 @@ from menid_plan.errors import InputError, MenidError
 # The module menid_plan.cli.NAME holds the function `command`.
 _COMMANDS = {
     "check": "Report every error in domain and problem files.",
+    "experiences": "Show what is in a store of experiences; export and import it.",
     "explain": "Show which actions apply in a state, and why or why not.",
     "ground": "Count states and transitions; write the explicit model.",
     "fmt": "Bring files into the canonical layout.",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from menid_plan.experience.schema import StoreError, StoreInputError
@@ -71,6 +71,13 @@ def keep_log(connection: sqlite3.Connection) -> None:
     """
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute("PRAGMA synchronous = NORMAL")
+
+
+def drop_log(connection: sqlite3.Connection) -> None:
+    """Bring the log into the file and remove it, unless somebody reads: a store at rest is one file."""
+    with suppress(sqlite3.Error):
+        connection.execute("PRAGMA busy_timeout = 0")
+        connection.execute("PRAGMA journal_mode = DELETE")
 
 
 def open_reading(path: Path) -> sqlite3.Connection:

@@ -153,6 +153,8 @@ class Store(StoreReader):
 
     def close(self) -> None:
         """Let go of the file; may be called twice."""
+        if self._lock is not None:
+            files.drop_log(self._connection)
         self._connection.close()
         if self._lock is not None:
             self._lock.close()
