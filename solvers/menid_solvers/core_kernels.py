@@ -7,6 +7,8 @@ import numpy as np
 from menid_plan.compiled import kernel
 from menid_plan.mdp.model import Bools, Floats, Ints, Naturals, SmallInts
 
+SHORT = 8  # entries of a row among which a target is searched one by one
+
 
 @kernel(
     "UniTuple(i8, 2)(i4[::1], i8, b1[::1], i4[::1], i4[::1], i4[::1], i8[::1], i8[::1],"
@@ -135,7 +137,9 @@ def compile_rows(
                     ends = 0.0
                     moves = 0.0
                     gained = 0.0
-                    for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
+                    last = row_transition[r + 1]
+                    short = last - row_transition[r] <= SHORT
+                    for e in range(np.uint64(row_transition[r]), np.uint64(last)):
                         p = probability[e]
                         if p <= 0.0:
                             continue
@@ -148,21 +152,32 @@ def compile_rows(
                             stays += p
                         else:
                             moves += p
-                            if place[v] >= begin:
-                                weight[place[v]] += p
+                            at = entries
+                            if short:  # the row at hand is at hand, the places of all unknowns not
+                                for k in range(begin, entries):
+                                    if target[k] == v:
+                                        at = k
+                            elif place[v] >= begin:
+                                at = place[v]
                             else:
                                 place[v] = entries
+                            if at < entries:
+                                weight[at] += p
+                            else:
                                 target[entries] = v
                                 weight[entries] = p
                                 entries += 1
                     divisor = moves + ends + (1.0 - discount) * stays
                     if divisor <= 0.0:
                         continue  # it loops forever, and pays less than nothing
+                    factor = discount / divisor
                     for e in range(begin, entries):
-                        weight[e] = discount * weight[e] / divisor
-                        other = block_of[target[e]]
-                        if other != b:
-                            deepest = max(deepest, depth[other])
+                        weight[e] *= factor
+                    if blocks > 1:
+                        for e in range(begin, entries):
+                            other = block_of[target[e]]
+                            if other != b:
+                                deepest = max(deepest, depth[other])
                     total = moves + ends + stays
                     constant[rows] = (reward[r] * total + discount * gained) / divisor
                     leak[rows] = (discount * ends + (1.0 - discount) * total) / divisor

@@ -20,7 +20,7 @@ import numpy as np
 
 from menid_plan.mdp.model import MDP, Bools, Floats, SmallInts
 from menid_solvers import row_kernels as kernels
-from menid_solvers.graph import Predecessors, end_components
+from menid_solvers.graph import Graph, end_components
 
 SWEEPS = 20_000
 
@@ -43,15 +43,15 @@ class Endings:
     reward: Floats
 
 
-def tell_endings(mdp: MDP, back: Predecessors, rows: Bools, reward: Floats) -> Endings:
+def tell_endings(mdp: MDP, graph: Graph, rows: Bools, reward: Floats) -> Endings:
     """Find and judge the end components made of rows (bool[r]) that pay reward (float64[r])."""
     n = mdp.states
     growing = np.zeros(n, np.bool_)
     unsure = np.zeros(n, np.bool_)
     potential = np.zeros(n)
-    component, within = end_components(mdp, back, rows)
+    component, within = end_components(graph, rows)
     if bool(within.any()):
-        of_row = component[back.row_state[within]]
+        of_row = component[graph.row_state[within]]
         number = int(component.max()) + 1
         pays = np.zeros(number, np.bool_)
         costs = np.zeros(number, np.bool_)
@@ -71,10 +71,10 @@ def tell_endings(mdp: MDP, back: Predecessors, rows: Bools, reward: Floats) -> E
         kernels.expect(
             mdp.row_transition, mdp.next_state, mdp.probability, rows, potential, expected
         )
-        reward = np.where(rows, reward + expected - potential[back.row_state], reward)
+        reward = np.where(rows, reward + expected - potential[graph.row_state], reward)
     free = within & (reward == 0.0)
     if bool(free.any()):
-        merged, inside = end_components(mdp, back, free)
+        merged, inside = end_components(graph, free)
     else:
         merged, inside = np.full(n, -1, np.int32), free
     return Endings(growing, unsure, merged, inside, potential, reward)

@@ -14,7 +14,7 @@ from menid_plan.mdp.model import MDP, Bools, Floats
 from menid_solvers import row_kernels as kernels
 from menid_solvers.bounds import Limits
 from menid_solvers.core import build_core
-from menid_solvers.graph import Predecessors, end_components, sure_reach
+from menid_solvers.graph import Graph, end_components, sure_reach
 from menid_solvers.stage import Stage, solve_core
 
 
@@ -30,12 +30,19 @@ class GoalStage:
     never: Bools
     sure_rows: Bools
 
+    @property
+    def settled(self) -> bool:
+        """Whether the probability is 0 or 1 everywhere."""
+        return bool(np.all(self.sure | self.never))
+
     def best_rows(self, mdp: MDP, rows: Bools) -> Bools:
         """The rows (bool[r]) that may belong to a policy of the highest probability.
 
         Exact where the probability is 0 or 1; elsewhere those whose upper bound is not below the
         state's lower bound.
         """
+        if self.settled:
+            return self.sure_rows
         row_state = np.repeat(np.arange(mdp.states, dtype=np.int32), np.diff(mdp.state_row))
         between = rows & ~(self.sure | self.never)[row_state]
         expected = np.zeros(mdp.rows)
@@ -48,35 +55,36 @@ class GoalStage:
 
 def reach_goal(
     mdp: MDP,
-    back: Predecessors,
+    graph: Graph,
     rows: Bools,
     epsilon: float,
     limits: Limits,
     start: Floats | None = None,
+    *,
+    steered: bool = True,
 ) -> GoalStage:
-    """The highest probability of reaching the goal by the given rows (bool[r])."""
+    """The highest probability of reaching the goal by the given rows (bool[r]).
+
+    Without ``steered`` the policy need not come to the goal where that is sure.
+    """
     goal = mdp.goal
-    possible = back.reaching(rows, goal)
-    sure, sure_rows = sure_reach(mdp, back, rows, goal)
+    sure, sure_rows, possible = sure_reach(graph, rows, goal)
     settled = sure | ~possible
-    sure_rows &= sure[back.row_state]
+    sure_rows &= sure[graph.row_state]
     stage = Stage.known(mdp, sure.astype(np.float64), rows)
     stage.policy[goal] = -1
-    kernels.steer(
-        mdp.state_row, mdp.row_transition, mdp.next_state, mdp.probability,
-        back.first, back.row, back.row_state, sure_rows, goal, stage.policy,
-        np.empty(mdp.states, np.int32), np.empty(mdp.states, np.int32),
-    )  # fmt: skip
+    if steered:
+        graph.steer(sure_rows, goal, stage.policy)
     if not bool(settled.all()):
-        between = rows & ~settled[back.row_state]
-        merged, inside = end_components(mdp, back, between)
+        between = rows & ~settled[graph.row_state]
+        merged, inside = end_components(graph, between)
         core = build_core(
             mdp, rows=between, reward=np.zeros(mdp.rows), discount=1.0, known=settled,
             known_value=sure.astype(np.float64), merged=merged, inside=inside,
         )  # fmt: skip
         solve_core(
             mdp, core, stage, epsilon, limits, lowest=0.0, highest=1.0, start=start,
-            back=back, inside=inside,
+            graph=graph, inside=inside,
         )  # fmt: skip
     return GoalStage(stage, sure, ~possible, sure_rows)
 

@@ -2,90 +2,135 @@
 
 An *end component* is a set of states and rows that can be kept to forever (de Alfaro 1997). They
 are where the Bellman equations lose their unique solution, so the solvers treat them apart.
+
+Most graphs answer within a few sweeps over their states, in the order in which they were found and
+back. Only for the others are lists of predecessors made, which take time linear in the transitions.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from menid_plan.mdp.model import MDP, Bools, Floats, Ints, SmallInts
+from menid_plan.memory import demand
 from menid_solvers import graph_kernels as kernels
 
+SWEEPS = 4
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Predecessors:
-    """Which rows lead to a state: row[first[s] : first[s + 1]] (int32), and each row's state."""
 
-    first: Ints
-    row: SmallInts
-    row_state: SmallInts
+@dataclass(frozen=True, eq=False)
+class Graph:
+    """The graph of an MDP's rows (bool[r])."""
 
-    @classmethod
-    def of(cls, mdp: MDP, rows: Bools) -> Predecessors:
-        """Of an MDP, by the rows (bool[r]) that count."""
+    mdp: MDP
+    rows: Bools
+
+    @cached_property
+    def row_state(self) -> SmallInts:
+        """The state of each row (int32[r])."""
+        return np.repeat(np.arange(self.mdp.states, dtype=np.int32), np.diff(self.mdp.state_row))
+
+    @cached_property
+    def predecessors(self) -> tuple[Ints, SmallInts]:
+        """Which rows lead to a state: row[first[s] : first[s + 1]] (int64[n + 1], int32[t])."""
+        mdp = self.mdp
+        demand(4.0 * mdp.transitions, f"the predecessors of {mdp.states} states")
         first = np.empty(mdp.states + 1, np.int64)
         row = np.empty(mdp.transitions, np.int32)
-        row_state = np.empty(mdp.rows, np.int32)
-        kernels.predecessors(*_graph(mdp, rows), first, row, row_state)
-        return cls(first, row, row_state)
+        kernels.predecessors(*_graph(mdp, self.rows), first, row)
+        return first, row
 
     def reaching(self, rows: Bools, targets: Bools) -> Bools:
         """The states (bool[n]) from which targets can be reached by some choice of the rows."""
         found = targets.copy()
-        kernels.reach(
-            self.first, self.row, self.row_state, rows, found, np.empty_like(found, np.int32)
-        )
+        if bool(found.any()) and not kernels.sweep_reach(*_graph(self.mdp, rows), SWEEPS, found):
+            queue = np.empty(self.mdp.states, np.int32)
+            kernels.reach(*self.predecessors, self.row_state, rows, found, queue)
         return found
 
-    def without(self, mdp: MDP, rows: Bools, gone: Bools) -> None:
+    def without(self, rows: Bools, gone: Bools) -> None:
         """Take out, in place, rows that may lead to gone states and states left without rows."""
+        if not bool(gone.any()) or kernels.sweep_attract(*_graph(self.mdp, rows), SWEEPS, gone):
+            return
+        n = self.mdp.states
         kernels.attract_rows(
-            mdp.state_row, self.first, self.row, self.row_state, rows, gone,
-            np.empty(mdp.states, np.int64), np.empty(mdp.states, np.int32),
+            self.mdp.state_row, *self.predecessors, self.row_state, rows, gone,
+            np.empty(n, np.int64), np.empty(n, np.int32),
+        )  # fmt: skip
+
+    def steer(self, rows: Bools, target: Bools, policy: SmallInts) -> None:
+        """Set the policy so that the targets come nearer: the lowest row with a nearer next state.
+
+        Only states from which the rows that count lead to a target are changed, and no target is.
+        """
+        mdp = self.mdp
+        kernels.steer(
+            mdp.state_row, mdp.row_transition, mdp.next_state, mdp.probability,
+            *self.predecessors, self.row_state, rows, target, policy,
+            np.empty(mdp.states, np.int32), np.empty(mdp.states, np.int32),
         )  # fmt: skip
 
 
 def components(mdp: MDP, rows: Bools) -> tuple[int, SmallInts]:
     """How many strongly connected components, and each state's; edges lead to no higher number."""
     component = np.empty(mdp.states, np.int32)
-    room = np.empty((4, mdp.states), np.int32), np.empty((2, mdp.states), np.int64)
-    return kernels.strong_components(*_graph(mdp, rows), component, *room), component
+    graph = _graph(mdp, rows)
+    room = np.empty((3, mdp.states), np.int32)
+    found = kernels.one_component(*graph, SWEEPS, component, room)
+    if found == 0:
+        places = np.empty((2, mdp.states), np.int64)
+        found = kernels.strong_components(*graph, component, room, places)
+    return found, component
 
 
-def sure_reach(mdp: MDP, back: Predecessors, rows: Bools, targets: Bools) -> tuple[Bools, Bools]:
+def lowest_rows(mdp: MDP, rows: Bools) -> SmallInts:
+    """The lowest row that counts (bool[r]) of each state, -1 if there is none (int32[n])."""
+    policy = np.empty(mdp.states, np.int32)
+    kernels.lowest_rows(mdp.state_row, rows, policy)
+    return policy
+
+
+def sure_reach(graph: Graph, rows: Bools, targets: Bools) -> tuple[Bools, Bools, Bools]:
     """The states from which some policy reaches the targets with probability 1, and its rows.
 
-    Rows (bool[r]) are those that never leave these states. Repeats: what cannot reach the targets
-    goes, and so does every row that may lead there (de Alfaro 1997, the nested fixpoint).
+    The third answer are those from which they can be reached at all. Rows (bool[r]) are those that
+    never leave these states. Repeats: what cannot reach the targets goes, and so does every row that
+    may lead there (de Alfaro 1997, the nested fixpoint).
     """
-    rows = rows & ~targets[back.row_state]
-    gone = np.zeros(mdp.states, np.bool_)
+    rows = rows & ~targets[graph.row_state]
+    gone = np.zeros(graph.mdp.states, np.bool_)
+    possible: Bools | None = None
     while True:
-        found = back.reaching(rows, targets)
+        found = graph.reaching(rows, targets)
+        possible = found if possible is None else possible
         if bool(np.all(found | gone)):
-            return found, rows
+            return found, rows, possible
         gone = ~found
-        back.without(mdp, rows, gone)
+        graph.without(rows, gone)
 
 
-def end_components(mdp: MDP, back: Predecessors, rows: Bools) -> tuple[SmallInts, Bools]:
+def end_components(graph: Graph, rows: Bools) -> tuple[SmallInts, Bools]:
     """The maximal end components made of the given rows.
 
     Returns each state's component (int32[n], -1 for none) and the rows inside (bool[r]).
     """
+    mdp = graph.mdp
     rows = rows.copy()
+    # Whatever may lead out of the states that can be stayed in belongs to none.
+    graph.without(rows, lowest_rows(mdp, rows) < 0)
     gone = np.empty(mdp.states, np.bool_)
-    while True:
+    while bool(rows.any()):
         _, component = components(mdp, rows)
         taken = kernels.rows_that_leave(*_graph(mdp, rows), component, gone)
-        back.without(mdp, rows, gone)
         if taken == 0:
             break
-    inside = np.zeros(mdp.states, np.bool_)
-    inside[back.row_state[rows]] = True
-    component[~inside] = -1
+        graph.without(rows, gone)
+    else:
+        return np.full(mdp.states, -1, np.int32), rows
+    component[lowest_rows(mdp, rows) < 0] = -1
     return component, rows
 
 

@@ -28,76 +28,91 @@ def strong_components(
     """Number the strongly connected components so that edges never lead to a higher number.
 
     Writes component (int32[n]) and returns how many there are. Tarjan 1972, without recursion;
-    ``room`` (int32[4, n]) and ``places`` (int64[2, n]) are to work in.
+    ``room`` (int32[3, n]) and ``places`` (int64[2, n]) are to work in.
     """
     n = len(state_row) - 1
-    index, low, path, stack = room[0], room[1], room[2], room[3]
+    low, path, stack = room[0], room[1], room[2]
     row_at, entry_at = places[0], places[1]  # where the visit of a state goes on
-    index[:] = 0  # order of discovery from 1; 0 is unseen
-    component[:] = -1
+    # The order of discovery of the earliest state on the stack that is known to be reached; 0 for
+    # unseen states. A state whose component is known has the highest of all, which lowers nothing.
+    low[:] = 0
+    done = n + 1
     seen = 0
     found = 0
     height = 0
     for root in range(n):
-        if index[root] != 0:
+        if low[root] != 0:
             continue
         depth = 0
         path[0] = root
-        fresh = True
+        s = root
+        seen += 1
+        index = seen
+        low_s = seen
+        low[s] = seen
+        stack[0] = s
+        height = 1
+        r = state_row[s]
+        e = row_transition[r]
         while depth >= 0:
-            s = path[depth]
-            if fresh:
-                seen += 1
-                index[s] = seen
-                low[s] = seen
-                stack[height] = s
-                height += 1
-                row_at[s] = state_row[s]
-                entry_at[s] = row_transition[state_row[s]]
-                fresh = False
-            r = row_at[s]
-            e = entry_at[s]
             last = state_row[s + 1]
             child = -1
             while r < last:
+                end = row_transition[r + 1]
                 if row_counts[r]:
-                    end = row_transition[r + 1]
                     while e < end:
                         t = next_state[e]
-                        if probability[e] > 0.0:
-                            if index[t] == 0:
+                        e += 1
+                        low_t = low[t]
+                        if low_t == 0:
+                            if probability[e - 1] > 0.0:
                                 child = t
                                 break
-                            if component[t] < 0 and index[t] < low[s]:
-                                low[s] = index[t]
-                        e += 1
+                        elif low_t < low_s and probability[e - 1] > 0.0:
+                            low_s = low_t
                     if child >= 0:
                         break
                 r += 1
-                e = row_transition[r]
+                e = end
             if child >= 0:
                 row_at[s] = r
-                entry_at[s] = e + 1
+                entry_at[s] = e
+                low[s] = low_s
+                component[s] = index
                 depth += 1
                 path[depth] = child
-                fresh = True
+                s = child
+                seen += 1
+                index = seen
+                low_s = seen
+                low[s] = seen
+                stack[height] = s
+                height += 1
+                r = state_row[s]
+                e = row_transition[r]
                 continue
-            if low[s] == index[s]:
+            low[s] = low_s
+            if low_s == index:
                 while True:
                     height -= 1
                     t = stack[height]
                     component[t] = found
+                    low[t] = done
                     if t == s:
                         break
                 found += 1
             depth -= 1
             if depth >= 0:
-                parent = path[depth]
-                low[parent] = min(low[parent], low[s])
+                below = low_s
+                s = path[depth]
+                low_s = min(low[s], below) if low[path[depth + 1]] != done else low[s]
+                index = component[s]  # kept there until the component is known
+                r = row_at[s]
+                e = entry_at[s]
     return found
 
 
-@kernel("void(i8[::1], i8[::1], i4[::1], f8[::1], b1[::1], i8[::1], i4[::1], i4[::1])")
+@kernel(f"void({_GRAPH}, i8[::1], i4[::1])")
 def predecessors(
     state_row: Ints,
     row_transition: Ints,
@@ -106,17 +121,15 @@ def predecessors(
     row_counts: Bools,
     first: Ints,
     row: SmallInts,
-    row_state: SmallInts,
 ) -> None:
     """Which rows lead to a state: row[first[s] : first[s + 1]], a row once for each entry.
 
-    Writes first (int64[n + 1]), row (int32[t]) and the state of each row (int32[r]).
+    Writes first (int64[n + 1]) and row (int32[t]).
     """
     n = len(state_row) - 1
     first[:] = 0
     for s in range(n):
         for r in range(state_row[s], state_row[s + 1]):
-            row_state[r] = s
             if row_counts[r]:
                 for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
                     if probability[e] > 0.0:
@@ -236,3 +249,226 @@ def rows_that_leave(
                 left += 1
         gone[s] = left == 0
     return taken
+
+
+@kernel("void(i8[::1], b1[::1], i4[::1])")
+def lowest_rows(state_row: Ints, row_counts: Bools, policy: SmallInts) -> None:
+    """policy[s] = the lowest row that counts, -1 if there is none."""
+    for s in range(len(state_row) - 1):
+        policy[s] = -1
+        for r in range(state_row[s], state_row[s + 1]):
+            if row_counts[r]:
+                policy[s] = r
+                break
+
+
+@kernel(f"b1({_GRAPH}, i8, b1[::1])")
+def sweep_reach(
+    state_row: Ints,
+    row_transition: Ints,
+    next_state: SmallInts,
+    probability: Floats,
+    row_counts: Bools,
+    sweeps: int,
+    found: Bools,
+) -> bool:
+    """Add to found the states from which a found one can be reached, by sweeps; True if done."""
+    n = len(state_row) - 1
+    for sweep in range(sweeps):
+        changed = False
+        for k in range(n):
+            s = n - 1 - k if sweep % 2 == 0 else k
+            if found[s]:
+                continue
+            for r in range(state_row[s], state_row[s + 1]):
+                if row_counts[r]:
+                    for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
+                        if found[next_state[e]] and probability[e] > 0.0:
+                            found[s] = True
+                            break
+                if found[s]:
+                    changed = True
+                    break
+        if not changed:
+            return True
+    return False
+
+
+@kernel(f"b1({_GRAPH}, i8, b1[::1])")
+def sweep_attract(
+    state_row: Ints,
+    row_transition: Ints,
+    next_state: SmallInts,
+    probability: Floats,
+    row_counts: Bools,
+    sweeps: int,
+    gone: Bools,
+) -> bool:
+    """What attract_rows does, by sweeps; True if done, else what is taken out is right so far."""
+    n = len(state_row) - 1
+    for sweep in range(sweeps):
+        changed = False
+        for k in range(n):
+            s = n - 1 - k if sweep % 2 == 0 else k
+            had = False
+            left = False
+            for r in range(state_row[s], state_row[s + 1]):
+                if not row_counts[r]:
+                    continue
+                had = True
+                for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
+                    if gone[next_state[e]] and probability[e] > 0.0:
+                        row_counts[r] = False
+                        break
+                if row_counts[r]:
+                    left = True
+            if had and not left and not gone[s]:
+                gone[s] = True
+                changed = True
+        if not changed:
+            return True
+    return False
+
+
+@kernel(f"i8({_GRAPH}, i8, i4[::1], i4[:, ::1])")
+def one_component(
+    state_row: Ints,
+    row_transition: Ints,
+    next_state: SmallInts,
+    probability: Floats,
+    row_counts: Bools,
+    sweeps: int,
+    component: SmallInts,
+    room: SmallInts,
+) -> int:
+    """Number the components as strong_components does, if all states with rows are in one.
+
+    0 if they are not, or if some sweeps do not show it.
+    """
+    n = len(state_row) - 1
+    onward, back = room[0], room[1]  # is reached from the first state with rows, and reaches it
+    first = -1
+    for s in range(n):
+        onward[s] = 0
+        back[s] = 0
+        component[s] = 0
+        for r in range(state_row[s], state_row[s + 1]):
+            if row_counts[r]:
+                component[s] = 1
+                break
+        if component[s] == 1 and first < 0:
+            first = s
+    if first < 0:
+        for s in range(n):
+            component[s] = s
+        return n
+    back[first] = 1
+    missing = True
+    for sweep in range(sweeps):
+        if not missing:
+            break
+        missing = False
+        changed = False
+        for k in range(n):
+            s = n - 1 - k if sweep % 2 == 0 else k
+            if component[s] == 0 or back[s] == 1:
+                continue
+            for r in range(state_row[s], state_row[s + 1]):
+                if row_counts[r] and back[s] == 0:
+                    for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
+                        if back[next_state[e]] == 1 and probability[e] > 0.0:
+                            back[s] = 1
+                            break
+            if back[s] == 0:
+                missing = True
+            else:
+                changed = True
+        if missing and not changed:
+            return 0
+    if missing:
+        return 0
+    onward[first] = 1
+    missing = True
+    for _ in range(2):
+        if not missing:
+            break
+        for s in range(n):
+            if component[s] == 1 and onward[s] == 1:
+                for r in range(state_row[s], state_row[s + 1]):
+                    if row_counts[r]:
+                        for e in range(
+                            np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])
+                        ):
+                            if probability[e] > 0.0:
+                                onward[next_state[e]] = 1
+        missing = False
+        for s in range(n):
+            missing |= component[s] == 1 and onward[s] == 0
+    if missing:
+        return 0
+    number = 0
+    for s in range(n):  # states without rows are components of their own, and come first
+        if component[s] == 0:
+            component[s] = number
+            number += 1
+        else:
+            component[s] = -1
+    for s in range(n):
+        if component[s] < 0:
+            component[s] = number
+    return number + 1
+
+
+@kernel(
+    "void(i8[::1], i8[::1], i4[::1], f8[::1], i8[::1], i4[::1], i4[::1], b1[::1], b1[::1], i4[::1],"
+    " i4[::1], i4[::1])"
+)
+def steer(
+    state_row: Ints,
+    row_transition: Ints,
+    next_state: SmallInts,
+    probability: Floats,
+    first: Ints,
+    row: SmallInts,
+    row_state: SmallInts,
+    row_counts: Bools,
+    target: Bools,
+    policy: SmallInts,
+    distance: SmallInts,
+    queue: SmallInts,
+) -> None:
+    """Set the policy so that the targets come nearer: the lowest row with a nearer next state.
+
+    Only states from which the rows that count lead to a target are changed, and no target is.
+    """
+    n = len(target)
+    distance[:] = n  # room of n, as queue
+    tail = 0
+    for s in range(n):
+        if target[s]:
+            distance[s] = 0
+            queue[tail] = s
+            tail += 1
+    head = 0
+    while head < tail:
+        t = queue[head]
+        head += 1
+        for k in range(first[t], first[t + 1]):
+            r = row[k]
+            s = row_state[r]
+            if row_counts[r] and distance[s] == n:
+                distance[s] = distance[t] + 1
+                queue[tail] = s
+                tail += 1
+    for s in range(n):
+        if distance[s] == n or distance[s] == 0:
+            continue
+        chosen = -1
+        for r in range(state_row[s], state_row[s + 1]):
+            if chosen >= 0 or not row_counts[r]:
+                continue
+            for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
+                if probability[e] > 0.0 and distance[next_state[e]] < distance[s]:
+                    chosen = r
+                    break
+        policy[s] = chosen

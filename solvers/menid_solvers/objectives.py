@@ -10,10 +10,10 @@ from menid_plan.mdp.model import MDP, Bools, Floats
 from menid_plan.solving import Objective, Progress, Solution
 from menid_solvers.bounds import Limits
 from menid_solvers.goals import GoalStage, policy_rows, reach_goal
-from menid_solvers.graph import Predecessors, sure_reach
+from menid_solvers.graph import Graph, lowest_rows, sure_reach
 from menid_solvers.horizon import rows_of_states, solve_horizon
 from menid_solvers.rewards import discounted_reward, total_reward
-from menid_solvers.stage import Stage, gap_status, lowest_rows
+from menid_solvers.stage import Stage, gap_status
 
 if TYPE_CHECKING:
     from menid_solvers.value_iteration import ValueIteration
@@ -35,36 +35,36 @@ def solve_objective(
     if objective == "reward" and mdp.discount < 1.0:
         stage = discounted_reward(mdp, rows, known, options.epsilon, limits, start)
         return _solution(options, mdp, objective, stage, limits, None)
-    back = Predecessors.of(mdp, rows)
+    graph = Graph(mdp, rows)
     if objective == "reward":
         stage = total_reward(
-            mdp, back, rows, mdp.row_reward, known, options.epsilon, limits, may_stay=True,
+            mdp, graph, rows, mdp.row_reward, known, options.epsilon, limits, may_stay=True,
             start=start,
         )  # fmt: skip
         return _solution(options, mdp, objective, stage, limits, None)
     if objective == "steps":
-        return _steps(options, mdp, back, rows, limits, start)
+        return _steps(options, mdp, graph, rows, limits, start)
     if objective == "goal-probability":
-        reached = reach_goal(mdp, back, rows, options.epsilon, limits, start)
+        reached = reach_goal(mdp, graph, rows, options.epsilon, limits, start)
         return _solution(options, mdp, objective, reached.stage, limits, _middle(reached.stage))
-    return _goal_then_reward(options, mdp, back, rows, limits, start)
+    return _goal_then_reward(options, mdp, graph, rows, limits, start)
 
 
 def _steps(
     options: ValueIteration,
     mdp: MDP,
-    back: Predecessors,
+    graph: Graph,
     rows: Bools,
     limits: Limits,
     start: Floats | None,
 ) -> Solution:
     """The least expected number of steps among policies that reach the goal surely."""
-    sure, sure_rows = sure_reach(mdp, back, rows, mdp.goal)
-    sure_rows &= sure[back.row_state]
+    sure, sure_rows, _ = sure_reach(graph, rows, mdp.goal)
+    sure_rows &= sure[graph.row_state]
     cost = np.full(mdp.rows, -1.0)
     stage = total_reward(
-        mdp, back, sure_rows, cost, mdp.goal | ~sure, options.epsilon, limits, may_stay=False,
-        start=None if start is None else -start,
+        mdp, graph, sure_rows, cost, mdp.goal | ~sure, options.epsilon, limits, may_stay=False,
+        certain=True, start=None if start is None else -start,
     )  # fmt: skip
     lower, upper = -stage.upper, -stage.lower
     lower[~sure] = upper[~sure] = np.inf
@@ -79,13 +79,13 @@ def _steps(
 def _goal_then_reward(
     options: ValueIteration,
     mdp: MDP,
-    back: Predecessors,
+    graph: Graph,
     rows: Bools,
     limits: Limits,
     start: Floats | None,
 ) -> Solution:
     """The highest probability of the goal, then the highest reward among the policies that have it."""
-    reached = reach_goal(mdp, back, rows, min(options.tie, options.epsilon), limits)
+    reached = reach_goal(mdp, graph, rows, min(options.tie, options.epsilon), limits, steered=False)
     if reached.stage.status == "limit" and limits.reached:
         chance = _middle(reached.stage)
         stage = reached.stage
@@ -99,30 +99,30 @@ def _goal_then_reward(
         stage = discounted_reward(mdp, best, ends, options.epsilon, limits, start)
     else:
         stage = total_reward(
-            mdp, back, best, mdp.row_reward, ends, options.epsilon, limits, may_stay=False,
-            start=start,
+            mdp, graph, best, mdp.row_reward, ends, options.epsilon, limits, may_stay=False,
+            certain=reached.settled, start=start,
         )  # fmt: skip
     stage.policy[reached.never] = reached.stage.policy[reached.never]
     missing = (stage.policy < 0) & ~mdp.goal
     stage.policy[missing] = reached.stage.policy[missing]
-    chance = _policy_chance(options, mdp, back, reached, stage, limits)
+    chance = _policy_chance(options, mdp, graph, reached, stage, limits)
     return _solution(options, mdp, "goal-then-reward", stage, limits, chance)
 
 
 def _policy_chance(
     options: ValueIteration,
     mdp: MDP,
-    back: Predecessors,
+    graph: Graph,
     reached: GoalStage,
     stage: Stage,
     limits: Limits,
 ) -> Floats:
     """The goal's probability under the stage's policy."""
-    if bool(np.all(reached.sure | reached.never)) and mdp.discount == 1.0:
+    if reached.settled and mdp.discount == 1.0:
         return reached.sure.astype(np.float64)
     taken = policy_rows(mdp, stage)
     again = Limits(None, options.max_seconds, None, limits.started)
-    return _middle(reach_goal(mdp, back, taken, options.epsilon, again).stage)
+    return _middle(reach_goal(mdp, graph, taken, options.epsilon, again).stage)
 
 
 def _middle(stage: Stage) -> Floats:

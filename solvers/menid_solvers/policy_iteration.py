@@ -61,7 +61,7 @@ class _Run:
     ) -> None:
         from scipy.sparse import csr_matrix
 
-        from menid_solvers.graph import Predecessors
+        from menid_solvers.graph import Graph
 
         self.options = options
         self.mdp = mdp
@@ -75,7 +75,7 @@ class _Run:
         self.matrix: csr_matrix = csr_matrix(
             (mdp.probability, mdp.next_state, mdp.row_transition), shape=(mdp.rows, mdp.states)
         )
-        self.back = Predecessors.of(mdp, self.rows)
+        self.graph = Graph(mdp, self.rows)
         self.ended: Bools = np.ones(mdp.states, np.bool_)
         self.ended[self.state[self.rows]] = False
 
@@ -128,13 +128,13 @@ class _Run:
                 mdp.discount,
                 self.lowest(self.rows),
             )
-        component, free = end_components(mdp, self.back, self.rows & (mdp.row_reward == 0.0))
+        component, free = end_components(self.graph, self.rows & (mdp.row_reward == 0.0))
         may_stop = (component >= 0) & ~self.ended
         growing = self.growing()
-        sure, _ = sure_reach(mdp, self.back, self.rows, self.ended | may_stop | growing)
+        sure, _, _ = sure_reach(self.graph, self.rows, self.ended | may_stop | growing)
         rows = self.rows.copy()
-        self.back.without(mdp, rows, ~sure)
-        endless = self.back.reaching(rows, growing & sure)
+        self.graph.without(rows, ~sure)
+        endless = self.graph.reaching(rows, growing & sure)
         rows &= ~endless[self.state]
         policy = self.towards(rows, self.ended | may_stop)
         known = np.where(endless, np.inf, np.where(sure, 0.0, -np.inf))
@@ -153,7 +153,7 @@ class _Run:
         from menid_solvers.graph import end_components
 
         mdp = self.mdp
-        component, inside = end_components(mdp, self.back, self.rows)
+        component, inside = end_components(self.graph, self.rows)
         found = np.zeros(mdp.states, np.bool_)
         while True:
             stop = np.full(mdp.states, -1, np.int32)
@@ -169,7 +169,7 @@ class _Run:
     def goal(self) -> tuple[Floats, Floats, SmallInts]:
         """The highest probability of the goal."""
         goal = self.mdp.goal
-        possible = self.back.reaching(self.rows, goal)
+        possible = self.graph.reaching(self.rows, goal)
         rows = self.rows & possible[self.state]
         lower, upper, policy = self.improve(
             rows, np.zeros(self.mdp.rows), goal.astype(np.float64), 1.0, self.towards(rows, goal)
@@ -182,7 +182,7 @@ class _Run:
         from menid_solvers.graph import sure_reach
 
         goal = self.mdp.goal
-        sure, rows = sure_reach(self.mdp, self.back, self.rows, goal)
+        sure, rows, _ = sure_reach(self.graph, self.rows, goal)
         rows &= sure[self.state]
         known = np.where(sure, 0.0, -np.inf)
         lower, upper, policy = self.improve(
@@ -200,7 +200,7 @@ class _Run:
             )
         lower, upper, first = self.goal()
         chance = (lower + upper) / 2
-        possible = self.back.reaching(self.rows, mdp.goal)
+        possible = self.graph.reaching(self.rows, mdp.goal)
         best = self.rows & possible[self.state]
         best &= self.matrix @ chance >= chance[self.state] - 1e-9
         policy = self.towards(best, mdp.goal)
@@ -269,7 +269,7 @@ class _Run:
     def endless(self, rows: Bools, policy: SmallInts) -> tuple[Floats, Floats, SmallInts]:
         """Values where the improved policy collects rewards for ever."""
         growing = ~self.ends(policy)
-        reaches = self.back.reaching(rows, growing)
+        reaches = self.graph.reaching(rows, growing)
         lower = np.where(reaches, np.inf, -np.inf)
         return lower, np.full(self.mdp.states, np.inf), policy
 
@@ -277,7 +277,7 @@ class _Run:
         """From which states (bool[n]) the policy can come to one where it has no row."""
         taken = np.zeros(self.mdp.rows, np.bool_)
         taken[policy[policy >= 0]] = True
-        return self.back.reaching(taken, policy < 0)
+        return self.graph.reaching(taken, policy < 0)
 
     def evaluate(
         self, policy: SmallInts, reward: Floats, known: Floats, discount: float

@@ -8,7 +8,7 @@ from menid_plan.mdp.model import MDP, Bools, Floats
 from menid_solvers.bounds import Limits
 from menid_solvers.core import build_core
 from menid_solvers.end_components import Endings, tell_endings
-from menid_solvers.graph import Predecessors, sure_reach
+from menid_solvers.graph import Graph, sure_reach
 from menid_solvers.stage import Stage, solve_core
 
 
@@ -33,7 +33,7 @@ def discounted_reward(
 
 def total_reward(
     mdp: MDP,
-    back: Predecessors,
+    graph: Graph,
     rows: Bools,
     reward: Floats,
     known: Bools,
@@ -41,33 +41,38 @@ def total_reward(
     limits: Limits,
     *,
     may_stay: bool,
+    certain: bool = False,
     start: Floats | None,
 ) -> Stage:
     """The best total of rewards (float64[r]) by the given rows; known states are worth 0.
 
-    Without ``may_stay`` only policies count that end in known states with probability 1. Values are
-    inf where the total has no upper bound, and -inf where every policy loses without end.
+    ``certain``: the rows lead to known states surely if one wants. Without ``may_stay`` only
+    policies count that end in known states with probability 1. Values are inf where the total has no
+    upper bound, and -inf where every policy loses without end.
     """
-    endings = tell_endings(mdp, back, rows, reward)
+    endings = tell_endings(mdp, graph, rows, reward)
     ends = known | endings.growing | endings.open
     if may_stay:
         ends = ends | (endings.merged >= 0)
-    fine, _ = sure_reach(mdp, back, rows, ends)
+    if certain and not bool(endings.growing.any() or endings.open.any()):
+        fine = np.ones(mdp.states, np.bool_)
+    else:
+        fine, _, _ = sure_reach(graph, rows, ends)
     kept = rows.copy()
-    back.without(mdp, kept, ~fine)
+    graph.without(kept, ~fine)
     if may_stay:  # staying needs its rows, whatever else they were kept for
-        kept |= endings.inside & fine[back.row_state]
-    endless = back.reaching(kept, endings.growing & fine) & ~known
-    doubtful = back.reaching(rows, endings.open) & ~known
-    doubtful |= back.reaching(rows, endings.growing) & ~fine
+        kept |= endings.inside & fine[graph.row_state]
+    endless = graph.reaching(kept, endings.growing & fine) & ~known
+    doubtful = graph.reaching(rows, endings.open) & ~known
+    doubtful |= graph.reaching(rows, endings.growing) & ~fine
     if not may_stay:
-        endless |= back.reaching(kept, endings.growing)
+        endless |= graph.reaching(kept, endings.growing)
     value = np.where(endless, np.inf, np.where(fine, 0.0, -np.inf))
     stage = Stage.known(mdp, value, rows)
     stage.policy[known] = -1
     settled = known | endless | ~fine | doubtful
     _finite(
-        mdp, back, kept, endings, settled, stage, epsilon, limits, may_stay=may_stay, start=start
+        mdp, graph, kept, endings, settled, stage, epsilon, limits, may_stay=may_stay, start=start
     )
     stage.lower[doubtful], stage.upper[doubtful] = -np.inf, np.inf
     if endless[mdp.initial] and not doubtful[mdp.initial]:
@@ -81,7 +86,7 @@ def total_reward(
 
 def _finite(
     mdp: MDP,
-    back: Predecessors,
+    graph: Graph,
     rows: Bools,
     endings: Endings,
     settled: Bools,
@@ -93,7 +98,7 @@ def _finite(
     start: Floats | None,
 ) -> None:
     """Solve for the states that are not settled; rows (bool[r]) from them lead to no doom."""
-    counts = rows & ~settled[back.row_state]
+    counts = rows & ~settled[graph.row_state]
     merged = np.where(settled, np.int32(-1), endings.merged)
     inside = endings.inside & counts
     pays = endings.reward[counts]
@@ -116,7 +121,7 @@ def _finite(
         )  # fmt: skip
         upper = stage.upper.copy()
         solve_core(
-            mdp, core, stage, epsilon, limits, start=start, back=back, inside=inside,
+            mdp, core, stage, epsilon, limits, start=start, graph=graph, inside=inside,
             lowest=0.0 if plain and not np.any(pays < 0.0) else -np.inf,
             highest=0.0 if plain and not np.any(pays > 0.0) else np.inf,
         )  # fmt: skip

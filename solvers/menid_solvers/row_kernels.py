@@ -1,4 +1,4 @@
-"""Small kernels over the rows of an MDP: what a row expects, steering, the gain of a component."""
+"""Small kernels over the rows of an MDP: what a row expects, the gain of a component."""
 
 from __future__ import annotations
 
@@ -28,61 +28,6 @@ def expect(
                 total += probability[e]
                 value += probability[e] * x[next_state[e]]
         expected[r] = value / total
-
-
-@kernel(
-    "void(i8[::1], i8[::1], i4[::1], f8[::1], i8[::1], i4[::1], i4[::1], b1[::1], b1[::1], i4[::1],"
-    " i4[::1], i4[::1])"
-)
-def steer(
-    state_row: Ints,
-    row_transition: Ints,
-    next_state: SmallInts,
-    probability: Floats,
-    first: Ints,
-    row: SmallInts,
-    row_state: SmallInts,
-    row_counts: Bools,
-    target: Bools,
-    policy: SmallInts,
-    distance: SmallInts,
-    queue: SmallInts,
-) -> None:
-    """Set the policy so that the targets come nearer: the lowest row with a nearer next state.
-
-    Only states from which the rows that count lead to a target are changed, and no target is.
-    """
-    n = len(target)
-    distance[:] = n  # room of n, as queue
-    tail = 0
-    for s in range(n):
-        if target[s]:
-            distance[s] = 0
-            queue[tail] = s
-            tail += 1
-    head = 0
-    while head < tail:
-        t = queue[head]
-        head += 1
-        for k in range(first[t], first[t + 1]):
-            r = row[k]
-            s = row_state[r]
-            if row_counts[r] and distance[s] == n:
-                distance[s] = distance[t] + 1
-                queue[tail] = s
-                tail += 1
-    for s in range(n):
-        if distance[s] == n or distance[s] == 0:
-            continue
-        chosen = -1
-        for r in range(state_row[s], state_row[s + 1]):
-            if chosen >= 0 or not row_counts[r]:
-                continue
-            for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
-                if probability[e] > 0.0 and distance[next_state[e]] < distance[s]:
-                    chosen = r
-                    break
-        policy[s] = chosen
 
 
 @kernel(

@@ -8,10 +8,9 @@ import numpy as np
 
 from menid_plan.mdp.model import MDP, Bools, Floats, SmallInts
 from menid_plan.solving import Status
-from menid_solvers import row_kernels as kernels
 from menid_solvers.bounds import Limits, enclose
 from menid_solvers.core import Core
-from menid_solvers.graph import Predecessors
+from menid_solvers.graph import Graph, lowest_rows
 
 
 @dataclass(slots=True, eq=False)
@@ -30,15 +29,6 @@ class Stage:
         return cls(value.copy(), value.copy(), lowest_rows(mdp, rows))
 
 
-def lowest_rows(mdp: MDP, rows: Bools) -> SmallInts:
-    """The lowest row that counts (bool[r]) of each state, -1 if there is none (int32[n])."""
-    counting = np.flatnonzero(rows)
-    policy = np.full(mdp.states, -1, np.int32)
-    states = np.searchsorted(mdp.state_row, counting, side="right") - 1
-    policy[states[::-1]] = counting[::-1]
-    return policy
-
-
 def solve_core(
     mdp: MDP,
     core: Core,
@@ -49,12 +39,12 @@ def solve_core(
     lowest: float,
     highest: float,
     start: Floats | None = None,
-    back: Predecessors | None = None,
+    graph: Graph | None = None,
     inside: Bools | None = None,
 ) -> None:
     """Solve a core's equations and write the bounds and the policy into the stage.
 
-    ``back`` and ``inside`` (bool[r]) are needed where end components were merged: their states
+    ``graph`` and ``inside`` (bool[r]) are needed where end components were merged: their states
     steer to the one whose row leaves, or stay.
     """
     if core.unknowns == 0:
@@ -78,23 +68,18 @@ def solve_core(
     row = np.where(chosen >= 0, core.source[np.maximum(chosen, 0)], -1) if len(
         core.source
     ) else np.full(core.unknowns, -1)  # fmt: skip
-    if inside is None or back is None:
+    if inside is None or graph is None or not bool(inside.any()):
         stage.policy[states] = row[unknown]
         return
-    owner = np.where(row >= 0, back.row_state[row], -1)
+    owner = np.where(row >= 0, graph.row_state[row], -1)
     owns = (owner[unknown] == states) & (row[unknown] >= 0)
     target = np.zeros(mdp.states, np.bool_)
     target[states[owns]] = True
     stay = lowest_rows(mdp, inside)
     stage.policy[states] = np.where(owns, row[unknown], stay[states])
-    leaving = (
-        inside & (row[core.unknown[back.row_state]] >= 0) & (core.unknown[back.row_state] >= 0)
-    )
-    kernels.steer(
-        mdp.state_row, mdp.row_transition, mdp.next_state, mdp.probability,
-        back.first, back.row, back.row_state, leaving, target, stage.policy,
-        np.empty(mdp.states, np.int32), np.empty(mdp.states, np.int32),
-    )  # fmt: skip
+    of_row = core.unknown[graph.row_state]
+    leaving = inside & (row[of_row] >= 0) & (of_row >= 0)
+    graph.steer(leaving, target, stage.policy)
 
 
 def gap_status(stage: Stage, mdp: MDP, epsilon: float) -> None:
