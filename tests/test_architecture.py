@@ -24,6 +24,7 @@ ALLOWED = {
     "grounding": {"source", "errors", "model"},
     "compiled": set(),
     "experience": {"source", "errors", "model", "grounding", "language"},
+    "environments": {"source", "errors", "model", "grounding", "language", "mdp", "experience"},
     "memory": {"errors"},
     "mdp": {"source", "errors", "model", "grounding", "compiled", "memory"},
     "solving": {"source", "errors", "model", "grounding", "mdp"},
@@ -43,6 +44,7 @@ ALLOWED = {
         "solving",
         "exchange",
         "experience",
+        "environments",
         "planning",
         "policy",
         "policy_file",
@@ -57,6 +59,8 @@ ONLY_IN = {
     "numba": {"menid_plan.compiled"},
     "rich": {"menid_plan.cli"},
     "pybullet": {"menid_plan.environments.hdd"},
+    "gymnasium": {"menid_plan.environments.gymnasium"},
+    "distributed": {"menid_plan.environments.dask"},
 }
 
 

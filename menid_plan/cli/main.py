@@ -17,6 +17,7 @@ from menid_plan.errors import InputError, MenidError
 _COMMANDS = {
     "check": "Report every error in domain and problem files.",
     "experiences": "Show what is in a store of experiences; export and import it.",
+    "env": "Check environments; list the kinds that there are.",
     "explain": "Show which actions apply in a state, and why or why not.",
     "ground": "Count states and transitions; write the explicit model.",
     "fmt": "Bring files into the canonical layout.",

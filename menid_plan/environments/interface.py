@@ -28,22 +28,32 @@ class Capabilities:
 
     ``reset_to_any``: it can be put into any state of the domain, not only into its own first one.
     ``repeatable``: with the same seed it does the same. ``parallel``: copies of it may run at once.
+    ``note`` tells a user more in a line: how many experiences a record has, what a program calls
+    itself.
     """
 
     reset_to_any: bool = True
     repeatable: bool = True
     parallel: bool = True
+    note: str = ""
 
 
 class Environment(Protocol):
-    """A place where actions are executed, one after the other."""
+    """A place where actions are executed, one after the other.
+
+    Failures are raised as EnvironmentFailedError; after one, the next ``reset`` starts afresh. Seeds
+    are whole numbers, 0 <= seed < 2**53: what every program can read without loss.
+    """
 
     @property
     def capabilities(self) -> Capabilities:
         """What it can do."""
 
     def reset(self, state: State | None, seed: int) -> State:
-        """Put it into a state (None: its own first one) and seed its chances; the state it is in."""
+        """Put it into a state (None: its own first one) and seed its chances; the state it is in.
+
+        Raises CannotResetError where it can't be put into that state.
+        """
 
     def execute(self, action: GroundAction) -> Execution:
         """Execute an action in the state that it is in."""

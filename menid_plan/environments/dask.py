@@ -1,0 +1,133 @@
+"""Lanes on the workers of a Dask scheduler."""
+
+from __future__ import annotations
+
+import pickle
+import threading
+import uuid
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Any
+
+from menid_plan.environments.interface import Capabilities, EnvironmentFailedError, Execution
+from menid_plan.environments.pool import LocalLane
+from menid_plan.environments.registry import EnvironmentSpec
+from menid_plan.environments.worker import Task, WorkerFailedError
+from menid_plan.errors import MenidError
+
+_PATIENCE = 10.0  # seconds to find the scheduler
+
+
+class _Kept:
+    """What a thread of a Dask worker keeps: a lane, which is a process beside the Dask worker.
+
+    So an environment that crashes or hangs leaves the Dask worker alone.
+    """
+
+    def __init__(self, pool: str, specs: bytes) -> None:
+        self.pool = pool
+        self.specs: Mapping[str, EnvironmentSpec] = pickle.loads(specs)  # noqa: S301
+        self.lane = LocalLane(specs)
+
+
+_kept: dict[int, _Kept] = {}
+_lock = threading.Lock()
+
+
+def _at_worker(pool: str, specs: bytes) -> _Kept:
+    thread = threading.get_ident()
+    found = _kept.get(thread)
+    if found is None or found.pool != pool:
+        if found is not None:  # of a pool that was never closed
+            found.lane.close()
+        found = _Kept(pool, specs)
+        with _lock:
+            _kept[thread] = found
+    return found
+
+
+def _build(pool: str, specs: bytes, name: str) -> Capabilities:
+    found = _at_worker(pool, specs)
+    return found.lane.build(found.specs[name])
+
+
+def _run(pool: str, specs: bytes, task: Task) -> Execution:
+    found = _at_worker(pool, specs)
+    return found.lane.run(found.specs[task.environment], task)
+
+
+def _end(pool: str) -> None:
+    with _lock:
+        for thread, found in list(_kept.items()):
+            if found.pool == pool:
+                del _kept[thread]
+                found.lane.interrupt()
+
+
+class Cluster:
+    """A connection to a scheduler."""
+
+    def __init__(self, address: str, specs: bytes) -> None:
+        """``specs`` is a pickled mapping from names to EnvironmentSpecs."""
+        try:
+            from distributed import Client
+        except ImportError as error:
+            raise EnvironmentFailedError(
+                "a scheduler needs Dask: pip install 'menid-plan[dask]'"
+            ) from error
+        try:
+            connect: Any = Client
+            self._client = connect(address, timeout=_PATIENCE, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise EnvironmentFailedError(f"the scheduler at {address}: {error}") from error
+        self._executor = self._client.get_executor(pure=False)
+        self._pool = uuid.uuid4().hex
+        self._specs = specs
+
+    def ask(self, function: Any, argument: object) -> Any:
+        """What a function gives on one of the workers."""
+        try:
+            return self._executor.submit(function, self._pool, self._specs, argument).result()
+        except MenidError:
+            raise
+        except BaseException as error:  # cancelled, worker lost, scheduler gone
+            raise WorkerFailedError("crash", f"Dask: {type(error).__name__}: {error}") from error
+
+    def interrupt(self) -> None:
+        """End the processes that the pool has on the workers."""
+        with suppress(Exception):
+            self._client.run(_end, self._pool)
+
+    def close(self) -> None:
+        """End those processes and leave the scheduler."""
+        self.interrupt()
+        self._executor.shutdown()
+        self._client.close()
+
+
+class DaskLane:
+    """A lane wherever the scheduler has room."""
+
+    def __init__(self, cluster: Cluster) -> None:
+        self._cluster = cluster
+
+    def build(self, spec: EnvironmentSpec) -> Capabilities:
+        """Build an environment on one of the workers."""
+        found: Capabilities = self._cluster.ask(_build, spec.name)
+        if not found.parallel:
+            raise MenidError(
+                f"environment `{spec.name}` allows no copies, and so can't run on a scheduler"
+            )
+        return found
+
+    def run(self, spec: EnvironmentSpec, task: Task) -> Execution:  # noqa: ARG002
+        """Execute on one of the workers."""
+        found: Execution = self._cluster.ask(_run, task)
+        return found
+
+    def interrupt(self) -> None:
+        """End what runs, of every lane."""
+        self._cluster.interrupt()
+
+    def close(self) -> None:
+        """There is nothing that is this lane's alone."""

@@ -1,0 +1,396 @@
+"""Executions in several workers at once, each of which may crash or hang without harm to the others.
+
+A *lane* executes one task after the other: in a process of its own, in one on another machine (Dask),
+or, without workers, right here. What a task gives depends on its state, action and seed alone, so
+the number of lanes changes nothing but the time.
+"""
+
+from __future__ import annotations
+
+import pickle
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError, Future
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from menid_plan.environments.interface import (
+    CannotResetError,
+    Capabilities,
+    EnvironmentFailedError,
+    Execution,
+)
+from menid_plan.environments.registry import EnvironmentSpec
+from menid_plan.environments.worker import Runner, Task, Trouble, Worker, WorkerFailedError
+from menid_plan.grounding.state import GroundAction, State
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """One failed attempt at an execution; ``attempt`` counts from 1."""
+
+    environment: str
+    action: GroundAction
+    number: int
+    attempt: int
+    trouble: Trouble
+    message: str
+
+    def __str__(self) -> str:
+        return (
+            f"environment `{self.environment}`, `{self.action}`, execution {self.number}, "
+            f"attempt {self.attempt}: {self.message}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """What happened in an environment: executions that gave a result, and attempts that failed.
+
+    ``given_up``: executions of which every attempt failed.
+    """
+
+    executions: int = 0
+    crashes: int = 0
+    timeouts: int = 0
+    errors: int = 0
+    given_up: int = 0
+
+
+class ExecutionFailedError(EnvironmentFailedError):
+    """Every attempt at an execution failed; ``failures`` tells how."""
+
+    def __init__(self, failures: Sequence[Failure]) -> None:
+        super().__init__(failures)
+        self.failures = tuple(failures)
+
+    def __str__(self) -> str:
+        last = self.failures[-1]
+        return (
+            f"environment `{last.environment}`: execution {last.number}, `{last.action}`, failed "
+            f"{len(self.failures)} times; last: {last.message}"
+        )
+
+
+class ExecutionFuture(Future[Execution]):
+    """The execution to come; its exception is ExecutionFailedError, or another MenidError."""
+
+    def __init__(self, task: Task, number: int) -> None:
+        super().__init__()
+        self.task = task
+        self.number = number
+
+
+class Lane(Protocol):
+    """Executes one task after the other."""
+
+    def build(self, spec: EnvironmentSpec) -> Capabilities:
+        """Build an environment; raises as `run`."""
+
+    def run(self, spec: EnvironmentSpec, task: Task) -> Execution:
+        """Execute; raises EnvironmentFailedError, WorkerFailedError if a process was lost."""
+
+    def interrupt(self) -> None:
+        """Have what runs come to an end; called from another thread."""
+
+    def close(self) -> None:
+        """Let go of everything; called where `run` is."""
+
+
+class _Here:
+    """A lane in this process."""
+
+    def __init__(self, specs: Mapping[str, EnvironmentSpec]) -> None:
+        self._runner = Runner(specs)
+
+    def build(self, spec: EnvironmentSpec) -> Capabilities:
+        return self._runner.build(spec.name)
+
+    def run(self, spec: EnvironmentSpec, task: Task) -> Execution:  # noqa: ARG002
+        return self._runner.run(task)
+
+    def interrupt(self) -> None:
+        pass
+
+    def close(self) -> None:
+        self._runner.close()
+
+
+class LocalLane:
+    """A lane in a process of its own, which is started when needed and anew when lost."""
+
+    def __init__(self, specs: bytes) -> None:
+        self._specs = specs
+        self._worker: Worker | None = None
+        self._built: set[str] = set()
+
+    def build(self, spec: EnvironmentSpec) -> Capabilities:
+        """Build an environment in the process."""
+        try:
+            if self._worker is None:
+                self._worker = Worker(self._specs)
+            found = self._worker.build(spec.name, spec.start_timeout)
+        except WorkerFailedError:
+            self._lost()
+            raise
+        self._built.add(spec.name)
+        return found
+
+    def run(self, spec: EnvironmentSpec, task: Task) -> Execution:
+        """Execute in the process; building has a time limit of its own."""
+        if spec.name not in self._built:
+            self.build(spec)
+        assert self._worker is not None
+        try:
+            return self._worker.run(task, _limit(spec))
+        except WorkerFailedError:
+            self._lost()
+            raise
+        except EnvironmentFailedError:
+            self._built.discard(spec.name)  # it is built anew
+            raise
+
+    def _lost(self) -> None:
+        self._worker = None
+        self._built.clear()
+
+    def interrupt(self) -> None:
+        """Kill the process."""
+        worker = self._worker
+        if worker is not None:
+            worker.kill()
+
+    def close(self) -> None:
+        """End the process."""
+        if self._worker is not None:
+            self._worker.close()
+            self._lost()
+
+
+def _limit(spec: EnvironmentSpec) -> float | None:
+    # An environment that watches the time itself gets to say so, and to end its own processes.
+    return None if spec.timeout is None else spec.timeout + 1.0
+
+
+class Pool:
+    """Executes tasks in test environments: in worker processes, or in this one (``workers=0``).
+
+    With ``scheduler``, the address of a Dask scheduler, they run on its workers, ``workers`` at once,
+    each in a process of its own there. ``failed`` is called for each attempt that failed, from
+    any thread, one at a time. To be closed, best by ``with``.
+    """
+
+    def __init__(
+        self,
+        specs: Iterable[EnvironmentSpec],
+        workers: int = 1,
+        scheduler: str | None = None,
+        failed: Callable[[Failure], None] | None = None,
+    ) -> None:
+        self._specs = {spec.name: spec for spec in specs}
+        self._failed = failed
+        self._counts = {name: Counts() for name in self._specs}
+        self._running = dict.fromkeys(self._specs, 0)
+        self._capabilities: dict[str, Capabilities] = {}
+        self._owner: dict[str, Lane] = {}  # of environments of which there may be one copy
+        self._pending: deque[ExecutionFuture] = deque()
+        self._changed = threading.Condition(threading.RLock())
+        self._closed = False
+        self._here: _Here | None = None
+        self._threads: list[threading.Thread] = []
+        self._lanes: list[Lane] = []
+        self._cluster = None
+        if scheduler:
+            from menid_plan.environments.dask import Cluster, DaskLane
+
+            self._cluster = Cluster(scheduler, pickle.dumps(self._specs))
+            self._lanes = [DaskLane(self._cluster) for _ in range(max(1, workers))]
+        elif workers:
+            data = pickle.dumps(self._specs)
+            self._lanes = [LocalLane(data) for _ in range(workers)]
+        else:
+            self._here = _Here(self._specs)
+        for lane in self._lanes:
+            thread = threading.Thread(target=self._serve, args=(lane,), daemon=True)
+            self._threads.append(thread)
+            thread.start()
+
+    def __enter__(self) -> Pool:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def workers(self) -> int:
+        """How many executions can run at once."""
+        return max(1, len(self._lanes))
+
+    @property
+    def counts(self) -> Mapping[str, Counts]:
+        """What happened so far, by environment."""
+        with self._changed:
+            return dict(self._counts)
+
+    def submit(
+        self,
+        environment: str,
+        state: State | None,
+        action: GroundAction,
+        seed: int,
+        number: int = 0,
+    ) -> ExecutionFuture:
+        """Have an action executed in an environment that is put into a state.
+
+        ``number`` is for `in_order` and messages. Without workers it is executed now. Raises KeyError
+        for an unknown environment, RuntimeError if the pool is closed.
+        """
+        self._specs[environment]
+        future = ExecutionFuture(Task(environment, state, action, seed), number)
+        with self._changed:
+            if self._closed:
+                raise RuntimeError("the pool is closed")
+            if self._here is None:
+                self._pending.append(future)
+                self._changed.notify_all()
+        if self._here is not None:
+            future.set_running_or_notify_cancel()
+            self._execute(self._here, future)
+        return future
+
+    def close(self) -> None:
+        """Cancel what waits, end what runs, close the environments; may be called twice."""
+        with self._changed:
+            self._closed = True
+            while self._pending:
+                self._pending.popleft().cancel()
+            busy = sum(self._running.values()) > 0
+            self._changed.notify_all()
+        if busy:
+            for lane in self._lanes:
+                lane.interrupt()
+        for thread in self._threads:
+            thread.join()
+        if self._here is not None:
+            self._here.close()
+        if self._cluster is not None:
+            self._cluster.close()
+            self._cluster = None
+
+    # ------------------------------------------------------------------------------------- lanes
+
+    def _serve(self, lane: Lane) -> None:
+        """What the thread of a lane does. The thread outlives the processes that it starts."""
+        while (future := self._take(lane)) is not None:
+            name = future.task.environment
+            try:
+                if future.set_running_or_notify_cancel():
+                    self._execute(lane, future)
+            finally:
+                with self._changed:
+                    self._running[name] -= 1
+                    self._changed.notify_all()
+        lane.close()
+
+    def _take(self, lane: Lane) -> ExecutionFuture | None:
+        """The first task that may run in a lane, once there is one; None if the pool is closed."""
+        with self._changed:
+            while not self._closed:
+                for future in self._pending:
+                    if self._may_run(future.task.environment, lane):
+                        self._pending.remove(future)
+                        self._running[future.task.environment] += 1
+                        return future
+                self._changed.wait()
+        return None
+
+    def _may_run(self, name: str, lane: Lane) -> bool:
+        capabilities = self._capabilities.get(name)
+        if capabilities is None:  # the first one to be built tells whether there may be more
+            return self._running[name] == 0
+        if not capabilities.parallel:
+            return self._owner[name] is lane
+        limit = self._specs[name].workers
+        return limit is None or self._running[name] < limit
+
+    def _execute(self, lane: Lane, future: ExecutionFuture) -> None:
+        """Execute a task, again if it fails, and settle its future."""
+        task = future.task
+        spec = self._specs[task.environment]
+        failures: list[Failure] = []
+        while True:
+            try:
+                self._learn(lane, spec)
+                execution = lane.run(spec, task)
+            except CannotResetError as error:
+                future.set_exception(error)
+                return
+            except EnvironmentFailedError as error:
+                if self._closed:
+                    future.set_exception(CancelledError())
+                    return
+                trouble = error.trouble if isinstance(error, WorkerFailedError) else "error"
+                failures.append(
+                    Failure(
+                        spec.name, task.action, future.number, len(failures) + 1, trouble,
+                        str(error),
+                    )
+                )  # fmt: skip
+                self._note(failures[-1])
+                if len(failures) > spec.retries:
+                    self._add(spec.name, given_up=1)
+                    future.set_exception(ExecutionFailedError(failures))
+                    return
+            except BaseException as error:  # whoever waits for the result has to know
+                future.set_exception(error)
+                return
+            else:
+                self._add(spec.name, executions=1)
+                future.set_result(execution)
+                return
+
+    def _learn(self, lane: Lane, spec: EnvironmentSpec) -> None:
+        """Build an environment for the first time, and learn how many copies there may be."""
+        if spec.name in self._capabilities:
+            return
+        found = lane.build(spec)
+        with self._changed:
+            self._capabilities[spec.name] = found
+            self._owner[spec.name] = lane
+            self._changed.notify_all()
+
+    def _note(self, failure: Failure) -> None:
+        match failure.trouble:
+            case "crash":
+                self._add(failure.environment, crashes=1)
+            case "timeout":
+                self._add(failure.environment, timeouts=1)
+            case _:
+                self._add(failure.environment, errors=1)
+        if self._failed is not None:
+            with self._changed:
+                self._failed(failure)
+
+    def _add(self, name: str, **more: int) -> None:
+        with self._changed:
+            old = self._counts[name]
+            sums = {key: getattr(old, key) + value for key, value in more.items()}
+            self._counts[name] = replace(old, **sums)
+
+
+def in_order(futures: Iterable[ExecutionFuture]) -> Iterator[ExecutionFuture]:
+    """Futures by their numbers, each as soon as it and all before it are done.
+
+    If the caller stops early the rest is cancelled: results that came too many are dropped.
+    """
+    waiting = deque(sorted(futures, key=lambda future: future.number))
+    try:
+        while waiting:
+            with suppress(Exception, CancelledError):
+                waiting[0].exception()
+            yield waiting.popleft()
+    finally:
+        for future in waiting:
+            future.cancel()
