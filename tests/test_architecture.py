@@ -33,6 +33,19 @@ ALLOWED = {
     "policy_file": {"errors", "language", "grounding", "model", "solving", "policy"},
     "planning": {"errors", "model", "grounding", "mdp", "solving", "policy", "simulation"},
     "exchange": {"source", "errors", "model", "grounding", "mdp", "solving", "policy"},
+    "learning": {
+        "source",
+        "errors",
+        "model",
+        "language",
+        "grounding",
+        "mdp",
+        "solving",
+        "experience",
+        "environments",
+    },
+    "studies": {"errors", "model", "grounding", "mdp", "solving", "experience", "environments"}
+    | {"planning", "simulation", "learning"},
     "cli": {
         "source",
         "errors",
@@ -49,6 +62,8 @@ ALLOWED = {
         "policy",
         "policy_file",
         "simulation",
+        "learning",
+        "studies",
     },
 }
 # Which packages from elsewhere are imported in one place only.

@@ -18,6 +18,7 @@ _COMMANDS = {
     "check": "Report every error in domain and problem files.",
     "experiences": "Show what is in a store of experiences; export and import it.",
     "env": "Check environments; list the kinds that there are.",
+    "delta": "Tell how far a distribution seen in counts may be off.",
     "explain": "Show which actions apply in a state, and why or why not.",
     "ground": "Count states and transitions; write the explicit model.",
     "fmt": "Bring files into the canonical layout.",
@@ -25,6 +26,7 @@ _COMMANDS = {
     "simulate": "Draw episodes under a policy, and print what they earn.",
     "solve": "Find the best policy, with bounds on its value.",
     "solvers": "List the installed solvers, and what each promises.",
+    "study": "Run a study: a table, a figure, and what they show.",
     "show": "Show what a file declares, each rule as a table.",
 }
 
