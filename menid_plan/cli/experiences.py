@@ -17,6 +17,7 @@ from menid_plan.cli.common import existing_file, json_option, load_both, print_p
 
 if TYPE_CHECKING:
     from menid_plan.experience.reading import StoreReader
+    from menid_plan.experience.record import DistributionKey
 
 
 @click.command("experiences", short_help="Show, export or import the experiences of a store.")
@@ -144,10 +145,16 @@ def _export(store: StoreReader, target: str) -> None:
 def _summary(store: StoreReader) -> dict[str, Any]:
     """What is printed, by the keys of the JSON."""
     rules = {a.name: {r.name: r for r in a.rules} for a in store.domain.actions}
+    places = {(a, r): i for i, (a, r) in enumerate((a, r) for a in rules for r in rules[a])}
+    order = list(store.roles)
+
+    def declared(pair: tuple[str, DistributionKey]) -> tuple[int, tuple[str, ...], int]:
+        environment, key = pair
+        return places[key.action, key.rule], key.values, order.index(environment)
+
+    found = store.counts()
     counts = []
-    for (environment, key), sums in sorted(
-        store.counts().items(), key=lambda item: str(item[0][1])
-    ):
+    for environment, key in sorted(found, key=declared):
         outcomes = rules[key.action][key.rule].outcomes
         counts.append(
             {
@@ -155,7 +162,9 @@ def _summary(store: StoreReader) -> dict[str, Any]:
                 "rule": key.rule,
                 "values": list(key.values),
                 "environment": environment,
-                "outcomes": {o.name: n for o, n in zip(outcomes, sums, strict=True)},
+                "outcomes": {
+                    o.name: n for o, n in zip(outcomes, found[environment, key], strict=True)
+                },
             }
         )
     return {
