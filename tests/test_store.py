@@ -132,7 +132,7 @@ def experiences(draw: st.DrawFn) -> list[Experience]:
 
 
 @settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(experiences(), st.integers(0, 12))
 def test_what_is_added_is_read_back(
@@ -475,7 +475,7 @@ sys.path[:0] = sys.argv[2:]
 from test_store import BOTH, Store, test_of
 from menid_plan.grounding.state import GroundAction
 
-path, kills = sys.argv[1], 15
+path, kills = sys.argv[1], 12
 random.seed(3)
 Store.create(path, *BOTH).close()
 for _ in range(kills):
@@ -521,7 +521,7 @@ def test_a_writer_that_is_killed_leaves_whole_batches(path: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     lengths = [int(line.split()[0]) for line in done.stdout.splitlines()]
-    assert len(lengths) == 15
+    assert len(lengths) == 12
     assert lengths == sorted(lengths)
     assert lengths[-1] > 0
 
@@ -590,7 +590,7 @@ def test_a_folder_that_may_only_be_read(path: Path, logged: bool) -> None:
         connection.close()
     folder = path.parent
     for parent in folder.parents:
-        if parent.name.startswith("pytest-"):
+        if parent.name.startswith(("pytest-", "popen-")):
             parent.chmod(0o755)
     folder.chmod(0o555)
     path.chmod(0o444)
