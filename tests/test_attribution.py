@@ -270,7 +270,7 @@ def test_places_in_a_ground_problem(both: tuple[Domain, Problem]) -> None:
     assert places.of(DistributionKey("pull", "one-part", ("right",))) is None
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(domains_with_problems(), st.data())
 def test_the_outcome_that_happened_has_a_share(
     pair: tuple[Domain, Problem], data: st.DataObject

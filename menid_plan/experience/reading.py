@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +14,7 @@ from menid_plan.experience import codec, files
 from menid_plan.experience.record import DistributionKey, Experience, Explanation
 from menid_plan.experience.schema import StoreInputError
 from menid_plan.experience.summary import Totals, add_up_counts, add_up_totals
-from menid_plan.grounding.recent import Recent
+from menid_plan.grounding.recent import Recent, Value
 from menid_plan.grounding.state import GroundAction, State
 from menid_plan.language.files import parse_text
 from menid_plan.model.domain import Domain, Problem
@@ -31,8 +31,18 @@ _Row: TypeAlias = tuple[Any, ...]
 _Explained: TypeAlias = tuple[DistributionKey, Explanation]
 
 
-class _Values(Recent[int, Any]):
+class _Table(Recent[int, Value]):
+    """The values of a table by their numbers, each read when it is first asked for."""
+
     SIZE = 100_000
+
+    def __init__(self, read: Callable[[int], Value]) -> None:
+        super().__init__()
+        self._value_of = read
+
+    def __missing__(self, number: int) -> Value:
+        self[number] = value = self._value_of(number)
+        return value
 
 
 class StoreReader:
@@ -42,7 +52,9 @@ class StoreReader:
         """For internal use: the connection is to a store of the newest version."""
         self.path: Final = path
         self._connection = connection
-        self._read: dict[str, _Values] = {}
+        self._states: _Table[State] = _Table(self._state)
+        self._actions: _Table[GroundAction] = _Table(self._action)
+        self._explanations: _Table[_Explained] = _Table(self._explained)
         with files.guarded(path, "read"):
             self._meta: dict[str, str] = dict(connection.execute("SELECT key, value FROM meta"))
             found = list(connection.execute("SELECT id, name, role FROM environments ORDER BY id"))
@@ -109,7 +121,7 @@ class StoreReader:
         )
         with self._reading():
             pairs = self._connection.execute(query)
-            found = add_up_counts(pairs, lambda number: self._value("explanations", number))
+            found = add_up_counts(pairs, self._explanations.__getitem__)
         return {(self._names[number], key): sums for (number, key), sums in found.items()}
 
     def totals(self) -> dict[str, Totals]:
@@ -117,7 +129,7 @@ class StoreReader:
         query = "SELECT environment, duration, reward, explanation FROM experiences ORDER BY id"
         with self._reading():
             rows = self._connection.execute(query)
-            found = add_up_totals(rows, lambda number: self._value("explanations", number))
+            found = add_up_totals(rows, self._explanations.__getitem__)
         return {
             name: found.get(number, Totals()) for name, (number, _) in self._environments.items()
         }
@@ -136,7 +148,7 @@ class StoreReader:
         )
         with self._reading():
             return {
-                (self._names[environment], self._value("actions", action)): number
+                (self._names[environment], self._actions[action]): number
                 for environment, action, number in self._connection.execute(query)
             }
 
@@ -163,36 +175,26 @@ class StoreReader:
     def _experience(self, row: _Row) -> tuple[int, Experience]:
         (number, environment, state, action, after, counter, reward, duration, seed, finished,
          explanation) = row  # fmt: skip
+        states = self._states
         return number, Experience(
-            environment=self._names[environment],
-            state=self._value("states", state),
-            action=self._value("actions", action),
-            after=self._value("states", after),
-            reward=reward,
-            duration=duration,
-            seed=int(seed),
-            when=finished,
-            explanation=None
-            if explanation is None
-            else self._value("explanations", explanation)[1],
-            number=counter,
-        )
+            self._names[environment], states[state], self._actions[action], states[after], reward,
+            duration, int(seed), finished,
+            None if explanation is None else self._explanations[explanation][1], counter,
+        )  # fmt: skip
 
-    def _value(self, table: str, number: int) -> Any:
-        """The state or action of a number; of an explanation, it and its distribution before it."""
-        known = self._read.setdefault(table, _Values())
-        if number not in known:
-            known[number] = self._value_read(table, number)
-        return known[number]
+    def _state(self, number: int) -> State:
+        return codec.state_of(self._row_of("atoms FROM states", number)[0])
 
-    def _value_read(self, table: str, number: int) -> State | GroundAction | _Explained:
-        row = self._connection.execute(
-            f"SELECT * FROM {table} WHERE id = ?",  # noqa: S608 - one of our names
-            (number,),
-        ).fetchone()
-        if table == "states":
-            return codec.state_of(row[1])
-        if table == "actions":
-            return codec.action_of(row[1])
-        explanation = codec.explanation_of(*row[2:])
-        return DistributionKey(row[1], explanation.rule, explanation.values), explanation
+    def _action(self, number: int) -> GroundAction:
+        return codec.action_of(self._row_of("text FROM actions", number)[0])
+
+    def _explained(self, number: int) -> _Explained:
+        """An explanation, and before it the distribution that it is evidence for."""
+        row = self._row_of("action, rule, per, weights FROM explanations", number)
+        explanation = codec.explanation_of(*row[1:])
+        return DistributionKey(row[0], explanation.rule, explanation.values), explanation
+
+    def _row_of(self, columns: str, number: int) -> _Row:
+        query = f"SELECT {columns} WHERE id = ?"
+        found: _Row = self._connection.execute(query, (number,)).fetchone()
+        return found

@@ -77,14 +77,15 @@ class Store(StoreReader):
         """Make a store and open it for writing.
 
         ``settings`` (of whatever JSON can hold) and ``seed`` are kept for who reads it. If there is one
-        already, ``resume`` goes on with it, and otherwise that is an error.
+        already, ``resume`` goes on with it, whose settings and seed stay; otherwise that is an error.
         """
         path = Path(path)
+        meta = _meta_of(domain, problem, settings or {}, seed)
+        roles = {e.name: e.role for e in domain.all_environments}
         _look_at(path, may_be_empty=True, may_exist=resume)
 
         def fill(connection: sqlite3.Connection) -> None:
-            meta = _meta_of(domain, problem, settings or {}, seed)
-            schema.create(connection, meta, {e.name: e.role for e in domain.all_environments})
+            schema.create(connection, meta, roles)
 
         return cls._open(path, domain, problem, fill)
 
@@ -280,7 +281,7 @@ class Store(StoreReader):
                     "environment = ? AND action = ? AND test = ?",
                     (environment, action, test),
                 )
-                what = f"test {test} of `{self._value('actions', action)}`"
+                what = f"test {test} of `{self._actions[action]}`"
             there = self._connection.execute(columns + where, key).fetchone()
             if there != (*row[:4], row[8]):
                 raise StoreInputError(
