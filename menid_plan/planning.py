@@ -12,9 +12,10 @@ from menid_plan.errors import MenidError
 from menid_plan.grounding.ground import ground
 from menid_plan.grounding.semantics import Noise
 from menid_plan.grounding.state import GroundAction
-from menid_plan.mdp.explore import MAX_STATES, Progress, Structure, explore
+from menid_plan.mdp.explore import MAX_STATES, Structure, explore
 from menid_plan.mdp.model import MDP, Floats
 from menid_plan.mdp.probabilities import written
+from menid_plan.mdp.search import Progress
 from menid_plan.model.domain import Domain, Problem
 from menid_plan.policy import Policy, policy_of
 from menid_plan.simulation import Simulator

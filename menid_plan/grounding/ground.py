@@ -10,7 +10,7 @@ happens, the goal) is then a *cube*: entries (word, mask, value), each of which 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,7 @@ from menid_plan.grounding.circuit import FALSE, TRUE, Circuit, Signal
 from menid_plan.grounding.instantiate import GroundRule, Instantiation
 from menid_plan.grounding.prune import prune
 from menid_plan.grounding.state import GroundAction, State
+from menid_plan.grounding.watches import Watches, watches
 from menid_plan.model.domain import Domain, Problem, param_values
 from menid_plan.model.expressions import EvaluationError, Expression, evaluate
 from menid_plan.model.formulas import GroundAtom
@@ -61,14 +62,17 @@ class Tables:
 
     Entries (of cubes and counts): ``entry_word`` int32, ``entry_mask`` and ``entry_value`` uint64.
     Operations of the program, each of which sets one bit: ``op_kind`` uint8 (0: all entries match, 1:
-    so many bits match, 2: at least so many), ``op_number``, ``op_entries`` (offsets), ``op_word``,
-    ``op_bit``. Segments of it: ``segment_ops`` (offsets), ``segment_loops`` uint8 (repeat until nothing
-    changes). Rules: ``rule_entries``, ``rule_outcomes`` (offsets), ``rule_action``. Outcomes:
+    so many bits match, 2: at least so many, 3: all match, and what follows is worth another pass),
+    ``op_number``, ``op_entries`` (offsets), ``op_word``, ``op_bit``. Segments of it:
+    ``segment_ops`` (offsets), ``segment_loops`` uint8 (repeat until nothing changes).
+    Rules: ``rule_entries``, ``rule_outcomes`` (offsets), ``rule_action``. Outcomes:
     ``outcome_slot``, ``outcome_noise`` uint8, ``outcome_delete`` and ``outcome_add`` (uint64[., W],
     what it does unconditionally), ``outcome_effects`` (offsets, of the others). Conditional effects:
     ``effect_entries``, ``effect_changes`` (offsets). Changes: ``change_word``, ``change_delete``,
-    ``change_add``. Rewards of states: ``reward_entries`` (offsets), ``reward_value`` float64. The
-    cube of the goal: ``goal_entries`` (two offsets; equal to -1 without a goal).
+    ``change_add``. Watches (see `menid_plan.grounding.watches`): ``rule_watch`` for the rules,
+    ``effect_watch`` for the conditional effects of each outcome. Rewards of states:
+    ``reward_entries`` (offsets), ``reward_value`` float64. The cube of the goal: ``goal_entries`` (two
+    offsets; equal to -1 without a goal).
     """
 
     words: int
@@ -99,6 +103,8 @@ class Tables:
     reward_entries: NDArray[np.int32]
     reward_value: NDArray[np.float64]
     goal_entries: NDArray[np.int32]
+    rule_watch: Watches
+    effect_watch: Watches
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -231,6 +237,8 @@ class _Builder:
         }
         self.entries: list[tuple[int, int, int]] = []
         self.outcome_masks: list[NDArray[np.uint64]] = []
+        self._rule_bits: list[list[int]] = []
+        self._effect_bits: list[list[list[int]]] = []
 
     def _fact_bits(self) -> dict[GroundAtom, int]:
         if not hasattr(self, "_by_fact"):
@@ -256,6 +264,11 @@ class _Builder:
         if node.kind == "all" and not signal & 1:
             return list(node.operands)
         return [] if signal == TRUE else [signal]
+
+    def _positive_bits(self, condition: Signal) -> list[int]:
+        """The bits that have to be set where a conjunction holds."""
+        literals = self._literals(condition)
+        return [self._bits[li >> 1] for li in literals if not li & 1 and li != TRUE]
 
     def _cube(self, literals: list[Signal]) -> int:
         """Append the entries that demand these signals; the offset behind them."""
@@ -293,7 +306,7 @@ class _Builder:
                 )
             needed[number] = tuple(n for n in below if n)
             stack.extend(needed[number])
-        groups = [sorted(group, key=self._rank) for group in components(needed)]
+        groups = [self._in_order(set(group), needed) for group in components(needed)]
         bit = self.words * WORD
         for group in groups:
             for number in group:
@@ -302,13 +315,25 @@ class _Builder:
         self.extended_words = -(-bit // WORD)
         return groups
 
-    def _rank(self, number: int) -> tuple[bool, int]:
-        """Derived atoms come last in their group.
+    def _in_order(self, group: Collection[int], needed: Mapping[int, Sequence[int]]) -> list[int]:
+        """The nodes of a group such that each comes behind those that it is made of.
 
-        So a pass first computes what the other nodes are with the atoms found so far, and then the
-        atoms that follow: from none at all upwards, which ends in the least model.
+        Derived atoms that depend on each other come one after the other, each behind its definition.
+        So a pass over the group finds atoms that follow from those found so far, from none upwards,
+        and repeated passes end in the least model.
         """
-        return self.circuit.nodes[number].kind == "derived", number
+        derived = [n for n in sorted(group) if self.circuit.nodes[n].kind == "derived"]
+        order: dict[int, None] = {}
+        for root in derived or sorted(group):
+            stack = [(root, False)]
+            while stack:
+                number, behind = stack.pop()
+                if behind:
+                    order[number] = None
+                elif number not in order:
+                    stack.append((number, True))
+                    stack += [(n, False) for n in needed[number] if n in group and n not in derived]
+        return list(order)
 
     def tables(self, goal: Signal | None, conditions: list[Signal], rewards: list[float]) -> Tables:
         """All tables; ``goal`` and the ``conditions`` of ``rewards`` are signals of the circuit."""
@@ -338,6 +363,8 @@ class _Builder:
             entry_mask=np.array(masks, np.uint64),
             entry_value=np.array(values, np.uint64),
             goal_entries=np.array(goal_entries, np.int32),
+            rule_watch=watches([self._rule_bits], self.extended_words),
+            effect_watch=watches(self._effect_bits, self.extended_words),
             outcome_delete=np.ascontiguousarray(outcome_masks[:, 0]),
             outcome_add=np.ascontiguousarray(outcome_masks[:, 1]),
             **table.arrays(),
@@ -356,7 +383,7 @@ class _Builder:
                     loops = True
                 else:
                     literals = list(node.operands)
-                kind = 0 if node.kind != "count" else 1 if node.comparison == "=" else 2
+                kind = {"derived": 3, "count": 1 if node.comparison == "=" else 2}.get(node.kind, 0)
                 word, bit = divmod(self._bits[number], WORD)
                 table.add(
                     op_kind=kind, op_number=node.number, op_entries=self._cube(literals),
@@ -376,6 +403,7 @@ class _Builder:
                 rule_entries=self._cube(self._literals(rule.condition)),
                 rule_action=numbers[rule.action],
             )
+            self._rule_bits.append(self._positive_bits(rule.condition))
         for name in ("rule_outcomes", "outcome_effects", "effect_changes"):
             table.start(name, 0)
         table.start("effect_entries", len(self.entries))
@@ -391,9 +419,11 @@ class _Builder:
                     for word, bits in self._changes(effect.delete, effect.add).items():
                         masks[:, word] |= np.array(bits, np.uint64)
                 self.outcome_masks.append(masks)
+                self._effect_bits.append([])
                 for effect in ground_effects:
                     if effect.condition == TRUE:
                         continue
+                    self._effect_bits[-1].append(self._positive_bits(effect.condition))
                     for word, (delete, add) in self._changes(effect.delete, effect.add).items():
                         table.add(change_word=word, change_delete=delete, change_add=add)
                         changes += 1
@@ -433,7 +463,7 @@ class _Columns:
     def __init__(self) -> None:
         names = set(Tables.__dataclass_fields__) - {
             "words", "extended_words", "entry_word", "entry_mask", "entry_value", "goal_entries",
-            "outcome_delete", "outcome_add",
+            "outcome_delete", "outcome_add", "rule_watch", "effect_watch",
         }  # fmt: skip
         self._lists: dict[str, list[float]] = {name: [] for name in sorted(names)}
 

@@ -1,4 +1,9 @@
-"""The compiled search for reachable states: breadth first, no call into Python for a state."""
+"""The compiled search for reachable states: breadth first, no call into Python for a state.
+
+States are expanded by `expand`. Alone it numbers what it finds. Where several threads expand a stretch
+each, they only read what was found before, and what is new gets its number from `settle`, in the order
+in which one thread alone would have found it.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +13,15 @@ import numpy as np
 
 from menid_plan.compiled import kernel
 
-# Why the kernel came back.
-DONE, BATCH, STATES_FULL, ROWS_FULL, TRANSITIONS_FULL, TABLE_FULL, CONFLICT, UNKNOWN, LIMIT = range(
-    9
-)
+# Why expand came back.
+DONE, FULL, NO_ROOM, CONFLICT, UNKNOWN = range(5)
 
 # What may happen with a slot: its outcome never happens, happens, or nobody knows.
 NEVER, HAPPENS, MISSING = 0, 1, 2
 
+# Instead of a state's number: the sink, and below it what is not numbered yet.
 SINK_STATE = -1
+NEW = -2
 
 
 @kernel(inline=True)
@@ -49,24 +54,42 @@ def extend(
     for i in range(words, len(extended)):
         extended[i] = 0
     for segment in range(len(segment_loops)):
-        again = True
-        while again:
-            again = False
+        changed = np.uint64(1)
+        while changed:
+            changed = np.uint64(0)
             for op in range(segment_ops[segment], segment_ops[segment + 1]):
                 begin, end = op_entries[op], op_entries[op + 1]
-                if op_kind[op] == 0:
-                    holds = matches(extended, begin, end, word, mask, value)
+                kind = op_kind[op]
+                if (
+                    kind == 0 or kind == 3
+                ):  # without branches: nothing about a state can be foretold
+                    wrong = np.uint64(0)
+                    for entry in range(begin, end):
+                        wrong |= (extended[word[entry]] & mask[entry]) ^ value[entry]
+                    holds = wrong == 0
                 else:
                     found = count_bits(extended, begin, end, word, mask, value)
-                    holds = found == op_number[op] or (op_kind[op] == 2 and found > op_number[op])
+                    holds = found == op_number[op] or (kind == 2 and found > op_number[op])
                 at = op_word[op]
                 before = extended[at]
-                if holds:
-                    extended[at] = before | op_bit[op]
-                else:
-                    extended[at] = before & ~op_bit[op]
-                again |= extended[at] != before
-            again &= segment_loops[segment] != 0
+                bit = op_bit[op]
+                extended[at] = (before & ~bit) | (bit * np.uint64(holds))
+                if kind == 3:
+                    changed |= extended[at] ^ before
+            changed *= np.uint64(segment_loops[segment])
+
+
+@kernel(inline=True)
+def apply(
+    effect: int, extended: Any, word: Any, mask: Any, value: Any, effect_entries: Any,
+    effect_changes: Any, change_word: Any, change_delete: Any, change_add: Any, delete: Any,
+    add: Any,
+) -> None:  # fmt: skip
+    """Add what a conditional effect does, if its condition holds, to what an outcome does."""
+    if matches(extended, effect_entries[effect], effect_entries[effect + 1], word, mask, value):
+        for change in range(effect_changes[effect], effect_changes[effect + 1]):
+            delete[change_word[change]] |= change_delete[change]
+            add[change_word[change]] |= change_add[change]
 
 
 @kernel(inline=True)
@@ -82,25 +105,31 @@ def hash_words(words: Any, count: int) -> Any:
 
 
 @kernel(inline=True)
-def find_or_add(table: Any, states: Any, found: int, key: Any, words: int) -> int:
-    """The number of a state; ``found``, and the state added under it, if it is new."""
+def place_of(table: Any, states: Any, key: Any, words: int) -> Any:
+    """Where in the table a state is, or the free place where it belongs."""
     size = np.uint64(len(table) - 1)
     at = hash_words(key, words) & size
     while True:
         number = int(table[at])
         if number < 0:
-            table[at] = found
-            for i in range(words):
-                states[found, i] = key[i]
-            return found
+            return at
         same = True
         for i in range(words):
             if states[number, i] != key[i]:
                 same = False
                 break
         if same:
-            return number
+            return at
         at = (at + np.uint64(1)) & size
+
+
+@kernel(inline=True)
+def ones(bits: Any) -> Any:
+    """How many bits of a word are set (Warren, Hacker's Delight, 2002)."""
+    b = bits - ((bits >> np.uint64(1)) & np.uint64(0x5555555555555555))
+    b = (b & np.uint64(0x3333333333333333)) + ((b >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    b = (b + (b >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return (b * np.uint64(0x0101010101010101)) >> np.uint64(56)
 
 
 @kernel("void(i4[::1], u8[:, ::1], i8)")
@@ -115,23 +144,43 @@ def rehash(table: Any, states: Any, found: int) -> None:
         table[at] = number
 
 
-@kernel(inline=True)
-def note(counts: Any, state: int, found: int, rows: int, transitions: int) -> None:
-    """Write down how far the search is."""
-    counts[0] = state
-    counts[1] = found
-    counts[2] = rows
-    counts[3] = transitions
+@kernel("i8(i4[::1], u8[:, ::1], i8, u8[:, ::1], i8, i4[::1])")
+def settle(table: Any, states: Any, found: int, new: Any, count: int, number: Any) -> int:
+    """Number states, those that are new in order from ``found`` on; returns how many there are now.
+
+    number[i] becomes that of new[i]. There must be room in the table and among the states.
+    """
+    words = states.shape[1]
+    for i in range(count):
+        at = place_of(table, states, new[i], words)
+        if table[at] < 0:
+            table[at] = found
+            for j in range(words):
+                states[found, j] = new[i, j]
+            found += 1
+        number[i] = table[at]
+    return found
+
+
+@kernel("void(i8, i4[::1], i4[::1], i4[::1])")
+def put_numbers(count: int, found_state: Any, number: Any, next_state: Any) -> None:
+    """Copy where transitions lead, with the numbers that settle has given."""
+    for i in range(count):
+        to = found_state[i]
+        next_state[i] = to if to > NEW else number[NEW - to]
 
 
 @kernel(
     "i8(i8, i4[::1], u8[::1], u8[::1], u1[::1], i4[::1], i4[::1], i4[::1], u8[::1], i4[::1],"
     " u1[::1], i4[::1], i4[::1], i4[::1], i4[::1], u1[::1], u8[:, ::1], u8[:, ::1], i4[::1],"
-    " i4[::1], i4[::1], i4[::1], u8[::1], u8[::1], i4[::1], f8[::1], i4[::1], u1[::1], b1, i8,"
-    " i8[::1], i4[::1], u8[:, ::1], i8[::1], b1[::1], f8[::1], i4[::1], i8[::1], i4[::1], i4[::1],"
-    " i8, i8[::1], u8[::1], u8[::1], u8[::1], u8[::1])"
+    " i4[::1], i4[::1], i4[::1], u8[::1], u8[::1], i4[::1], f8[::1], i4[::1],"
+    " u8[:, ::1], i4[:, ::1], i4[::1], i4[::1], i4[::1], i4[::1],"
+    " u8[:, ::1], i4[:, ::1], i4[::1], i4[::1], i4[::1], i4[::1],"
+    " u1[::1], b1, i4[::1], u8[:, ::1], i8, i8, i8,"
+    " i8[::1], i8[::1], b1[::1], f8[::1], i4[::1], i8[::1], i4[::1], i4[::1], u8[:, ::1],"
+    " i8[::1], u8[::1], u8[::1], u8[::1], u8[::1], u8[::1])"
 )
-def explore(
+def expand(
     # What is known of the problem (see grounding.ground.Tables).
     words: int, word: Any, mask: Any, value: Any, op_kind: Any,
     op_number: Any, op_entries: Any, op_word: Any, op_bit: Any, segment_ops: Any,
@@ -140,28 +189,43 @@ def explore(
     outcome_effects: Any, effect_entries: Any,
     effect_changes: Any, change_word: Any, change_delete: Any, change_add: Any,
     reward_entries: Any, reward_value: Any, goal_entries: Any,
-    slot_state: Any, noise_to_sink: bool, max_states: int,
-    # What has been found, and how far: counts = [next to expand, states, rows, transitions].
-    counts: Any, table: Any, states: Any, state_row: Any, goal: Any, state_reward: Any,
-    row_rule: Any, row_transition: Any, next_state: Any, slot: Any, batch: int, clash: Any,
-    # Room to work in: extended_words, and three times words.
-    extended: Any, successor: Any, delete: Any, add: Any,
+    rule_mask: Any, rule_group: Any, rule_first: Any, rule_item: Any, rule_always: Any,
+    rule_always_first: Any,
+    effect_mask: Any, effect_group: Any, effect_first: Any, effect_item: Any, effect_always: Any,
+    effect_always_first: Any,
+    slot_state: Any, noise_to_sink: bool,
+    # What was found before, and which states to expand; alone, until so many are waiting (else 0).
+    table: Any, states: Any, first: int, last: int, alone: int,
+    # What is found: counts = [next state to expand, rows, transitions, new states, all states].
+    counts: Any, state_row: Any, goal: Any, state_reward: Any,
+    row_rule: Any, row_transition: Any, next_state: Any, slot: Any, new: Any, clash: Any,
+    # Room to work in: the extended words, a bit for each rule, and three times words.
+    extended: Any, due: Any, successor: Any, delete: Any, add: Any,
 ) -> int:  # fmt: skip
-    """Expand states until something is full, or ``batch`` of them are done; says why it stopped.
+    """Expand the states from counts[0] to last, as far as there are and have room; says why it stopped.
 
-    A state is expanded whole or not at all, so that the search goes on after an array has grown.
+    A state is expanded whole or not at all. Offsets in state_row and row_transition count from the
+    first state of the stretch. Where a transition leads to what is not among the states, it gets
+    NEW - i, for the i-th of ``new``.
     """
-    state, found, rows, transitions = counts[0], counts[1], counts[2], counts[3]
-    last = state + batch
+    state, rows, transitions, fresh = counts[0], counts[1], counts[2], counts[3]
+    found = counts[4]
     rules, outcomes = len(rule_action), len(outcome_slot)
-    while state < found:
-        if found > max_states:
-            note(counts, state, found, rows, transitions)
-            return LIMIT
-        if state == last:
-            note(counts, state, found, rows, transitions)
-            return BATCH
-        first_row, first_transition = rows, transitions
+    end = DONE
+    while state < last and state < found:
+        if alone > 0:
+            if found - state >= alone:
+                break
+            if found + outcomes > len(states) or 2 * (found + outcomes) > len(table):
+                end = NO_ROOM
+                break
+        if (
+            rows + rules > len(row_rule)
+            or transitions + outcomes > len(next_state)
+            or fresh + outcomes > len(new)
+        ):
+            end = FULL
+            break
         for i in range(words):
             extended[i] = states[state, i]
         extend(
@@ -172,72 +236,109 @@ def explore(
         for i in range(len(reward_value)):
             if matches(extended, reward_entries[i], reward_entries[i + 1], word, mask, value):
                 paid += reward_value[i]
-        state_reward[state] = paid
-        goal[state] = goal_entries[0] >= 0 and matches(
+        at_goal = goal_entries[0] >= 0 and matches(
             extended, goal_entries[0], goal_entries[1], word, mask, value
         )
-        if found + outcomes > len(states):
-            note(counts, state, found, first_row, first_transition)
-            return STATES_FULL
-        if 2 * (found + outcomes) > len(table):
-            note(counts, state, found, first_row, first_transition)
-            return TABLE_FULL
-        if rows + rules > len(row_rule):
-            note(counts, state, found, first_row, first_transition)
-            return ROWS_FULL
-        if transitions + outcomes > len(next_state):
-            note(counts, state, found, first_row, first_transition)
-            return TRANSITIONS_FULL
+        state_reward[state - first] = paid
+        goal[state - first] = at_goal
+        for i in range(len(due)):
+            due[i] = 0
+        if not at_goal:
+            for i in range(rule_always_first[1]):
+                watcher = np.uint64(rule_always[i])
+                due[watcher >> np.uint64(6)] |= np.uint64(1) << (watcher & np.uint64(63))
+            for w in range(len(extended)):
+                watched = rule_mask[0, w]
+                bits = extended[w] & watched
+                while bits:
+                    lowest = bits & (~bits + np.uint64(1))
+                    bits ^= lowest
+                    group = rule_group[0, w] + np.int64(ones(watched & (lowest - np.uint64(1))))
+                    for i in range(rule_first[group], rule_first[group + 1]):
+                        watcher = np.uint64(rule_item[i])
+                        due[watcher >> np.uint64(6)] |= np.uint64(1) << (watcher & np.uint64(63))
         previous = -1
-        for rule in range(rules if not goal[state] else 0):
-            if not matches(extended, rule_entries[rule], rule_entries[rule + 1], word, mask, value):
-                continue
-            if previous >= 0 and rule_action[rule] == rule_action[previous]:
-                clash[0], clash[1], clash[2] = state, previous, rule
-                note(counts, state, found, first_row, first_transition)
-                return CONFLICT
-            previous = rule
-            for outcome in range(rule_outcomes[rule], rule_outcomes[rule + 1]):
-                known = slot_state[outcome_slot[outcome]]
-                if known == 0:
+        for block in range(len(due)):
+            while due[block]:
+                next_due = due[block] & (~due[block] + np.uint64(1))
+                due[block] ^= next_due
+                rule = 64 * block + int(ones(next_due - np.uint64(1)))
+                if not matches(
+                    extended, rule_entries[rule], rule_entries[rule + 1], word, mask, value
+                ):
                     continue
-                if known == 2:
-                    clash[0], clash[1], clash[2] = state, rule, rule
-                    note(counts, state, found, first_row, first_transition)
-                    return UNKNOWN
-                if outcome_noise[outcome]:
-                    number = SINK_STATE if noise_to_sink else state
-                else:
-                    for i in range(words):
-                        delete[i] = outcome_delete[outcome, i]
-                        add[i] = outcome_add[outcome, i]
-                    for effect in range(outcome_effects[outcome], outcome_effects[outcome + 1]):
-                        if matches(
-                            extended, effect_entries[effect], effect_entries[effect + 1], word,
-                            mask, value,
-                        ):  # fmt: skip
-                            for change in range(effect_changes[effect], effect_changes[effect + 1]):
-                                delete[change_word[change]] |= change_delete[change]
-                                add[change_word[change]] |= change_add[change]
-                    moved = False
-                    for i in range(words):
-                        successor[i] = (extended[i] & ~delete[i]) | add[i]
-                        moved |= successor[i] != extended[i]
+                if previous >= 0 and rule_action[rule] == rule_action[previous]:
+                    clash[0], clash[1], clash[2] = state, previous, rule
+                    return CONFLICT
+                previous = rule
+                for outcome in range(rule_outcomes[rule], rule_outcomes[rule + 1]):
+                    known = slot_state[outcome_slot[outcome]]
+                    if known == NEVER:
+                        continue
+                    if known == MISSING:
+                        clash[0], clash[1], clash[2] = state, rule, rule
+                        return UNKNOWN
                     number = state
-                    if moved:
-                        number = find_or_add(table, states, found, successor, words)
-                        if number == found:
-                            found += 1
-                next_state[transitions] = number
-                slot[transitions] = outcome_slot[outcome]
-                transitions += 1
-            row_rule[rows] = rule
-            rows += 1
-            row_transition[rows] = transitions
+                    if outcome_noise[outcome]:
+                        if noise_to_sink:
+                            number = SINK_STATE
+                    else:
+                        for i in range(words):
+                            delete[i] = outcome_delete[outcome, i]
+                            add[i] = outcome_add[outcome, i]
+                        if outcome_effects[outcome] < outcome_effects[outcome + 1]:
+                            for i in range(
+                                effect_always_first[outcome], effect_always_first[outcome + 1]
+                            ):
+                                apply(
+                                    effect_always[i], extended, word, mask, value, effect_entries,
+                                    effect_changes, change_word, change_delete, change_add,
+                                    delete, add,
+                                )  # fmt: skip
+                            for w in range(len(extended)):
+                                watched = effect_mask[outcome, w]
+                                bits = extended[w] & watched
+                                while bits:
+                                    lowest = bits & (~bits + np.uint64(1))
+                                    bits ^= lowest
+                                    group = effect_group[outcome, w] + np.int64(
+                                        ones(watched & (lowest - np.uint64(1)))
+                                    )
+                                    for i in range(effect_first[group], effect_first[group + 1]):
+                                        apply(
+                                            effect_item[i], extended, word, mask, value,
+                                            effect_entries, effect_changes, change_word,
+                                            change_delete, change_add, delete, add,
+                                        )  # fmt: skip
+                        moved = False
+                        for i in range(words):
+                            successor[i] = (extended[i] & ~delete[i]) | add[i]
+                            moved |= successor[i] != extended[i]
+                        if moved:
+                            place = place_of(table, states, successor, words)
+                            number = int(table[place])
+                            if number < 0 and alone > 0:
+                                number = found
+                                table[place] = found
+                                for i in range(words):
+                                    states[found, i] = successor[i]
+                                found += 1
+                            elif number < 0:
+                                number = NEW - fresh
+                                for i in range(words):
+                                    new[fresh, i] = successor[i]
+                                fresh += 1
+                    next_state[transitions] = number
+                    slot[transitions] = outcome_slot[outcome]
+                    transitions += 1
+                row_rule[rows] = rule
+                rows += 1
+                row_transition[rows] = transitions
         state += 1
-        state_row[state] = rows
-    note(counts, state, found, rows, transitions)
-    return DONE
+        state_row[state - first] = rows
+    counts[0], counts[1], counts[2], counts[3] = state, rows, transitions, fresh
+    counts[4] = found
+    return end
 
 
 @kernel(

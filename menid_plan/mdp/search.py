@@ -1,0 +1,238 @@
+"""The search for reachable states: arrays that grow, stretches of states expanded side by side."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from menid_plan.errors import LimitError, MeaningError
+from menid_plan.grounding.ground import GroundProblem
+from menid_plan.grounding.state import binding_text, state_text
+from menid_plan.mdp import kernel
+from menid_plan.memory import demand
+
+Progress = Callable[[int, int, int], None]
+"""Called now and then with the states found, those expanded, and the transitions."""
+
+STRETCH = 8192  # states that a thread expands before numbers are given
+WORTH = 4096  # states that wait to be expanded from which on several threads share the work
+
+
+def threads() -> int:
+    """How many threads search: one for each core that the process may use, up to eight."""
+    if hasattr(os, "sched_getaffinity"):
+        return min(8, len(os.sched_getaffinity(0)))
+    return min(8, os.cpu_count() or 1)
+
+
+class Search:
+    """The arrays of a search, which grow as it goes on; see `menid_plan.mdp.explore`."""
+
+    def __init__(
+        self, problem: GroundProblem, happens: NDArray[np.uint8], to_sink: bool, max_states: int
+    ) -> None:
+        self.problem = problem
+        self.happens = happens
+        self.to_sink = to_sink
+        self.max_states = max_states
+        size = 1024
+        self.expanded, self.found, self.rows, self.transitions = 0, 1, 0, 0
+        self.table = np.full(4 * size, -1, np.int32)
+        self.words = np.zeros((size, problem.tables.words), np.uint64)
+        self.words[0] = problem.initial
+        self.state_row = np.zeros(size + 1, np.int64)
+        self.goal = np.zeros(size, np.bool_)
+        self.reward = np.zeros(size, np.float64)
+        self.row_rule = np.zeros(size, np.int32)
+        self.row_transition = np.zeros(size + 1, np.int64)
+        self.next_state = np.zeros(4 * size, np.int32)
+        self.slot = np.zeros(4 * size, np.int32)
+        kernel.rehash(self.table, self.words, 1)
+
+    def run(self, progress: Progress | None) -> None:
+        """Expand states until there are no more."""
+        chunks = [_Chunk(self) for _ in range(threads())]
+        with ThreadPoolExecutor(max(1, len(chunks) - 1)) as pool:
+            while self.expanded < self.found:
+                self._advance(chunks, pool)
+                if self.found > self.max_states:
+                    raise LimitError(
+                        f"more than {self.max_states} states can be reached, the limit; "
+                        f"{self._so_far}"
+                    )
+                if progress is not None:
+                    progress(self.found, self.expanded, self.transitions)
+
+    def _advance(self, chunks: list[_Chunk], pool: ThreadPoolExecutor) -> None:
+        """Expand some states, alone or side by side."""
+        waiting = self.found - self.expanded
+        if len(chunks) == 1 or waiting < WORTH:
+            chunk = chunks[0]
+            end = chunk.expand(self.expanded, self.expanded + STRETCH, alone=True)
+            used, ends = [chunk], [end]
+        else:
+            todo = min(waiting, STRETCH * len(chunks))
+            used = chunks
+            bounds = (np.linspace(0, todo, len(used) + 1).astype(int) + self.expanded).tolist()
+            spans = list(pairwise(bounds))
+            running: list[Future[int]] = [
+                pool.submit(chunk.expand, *span)
+                for chunk, span in zip(used[1:], spans[1:], strict=True)
+            ]
+            ends = [used[0].expand(*spans[0]), *(future.result() for future in running)]
+        for chunk, end in zip(used, ends, strict=True):
+            if end == kernel.CONFLICT:
+                raise self._conflict(*chunk.clash.tolist())
+            if end == kernel.UNKNOWN:
+                raise self._unknown(*chunk.clash.tolist())
+            self._take(chunk)
+
+    def _take(self, chunk: _Chunk) -> None:
+        """Number what a chunk found and put it behind what was found before."""
+        last, rows, transitions, fresh, _ = chunk.counts.tolist()
+        states = last - chunk.first
+        self.make_room(self.found + fresh, self.rows + rows, self.transitions + transitions)
+        number = np.empty(fresh, np.int32)
+        self.found = kernel.settle(self.table, self.words, self.found, chunk.new, fresh, number)
+        entries = slice(self.transitions, self.transitions + transitions)
+        kernel.put_numbers(transitions, chunk.next_state, number, self.next_state[entries])
+        self.slot[entries] = chunk.slot[:transitions]
+        self.row_rule[self.rows : self.rows + rows] = chunk.row_rule[:rows]
+        ends = slice(self.rows + 1, self.rows + rows + 1)
+        np.add(chunk.row_transition[1 : rows + 1], self.transitions, out=self.row_transition[ends])
+        ends = slice(chunk.first + 1, last + 1)
+        np.add(chunk.state_row[1 : states + 1], self.rows, out=self.state_row[ends])
+        self.goal[chunk.first : last] = chunk.goal[:states]
+        self.reward[chunk.first : last] = chunk.reward[:states]
+        self.rows += rows
+        self.transitions += transitions
+        self.expanded = last
+
+    def make_room(self, states: int, rows: int = 0, transitions: int = 0) -> None:
+        """See to it that the arrays hold so many."""
+        self._grow(states, "words", "goal", "state_row", "reward")
+        self._grow(rows, "row_rule", "row_transition")
+        self._grow(transitions, "next_state", "slot")
+        if 2 * states > len(self.table):
+            size = len(self.table)
+            while 2 * states > size:
+                size *= 2
+            self.table = np.empty(0, np.int32)
+            demand(4.0 * size, self._so_far)
+            self.table = np.full(size, -1, np.int32)
+            kernel.rehash(self.table, self.words, self.found)
+
+    def _grow(self, needed: int, *names: str) -> None:
+        """Make arrays longer by half, or as long as needed, if there is memory for them all."""
+        arrays = [getattr(self, name) for name in names]
+        if needed + 1 <= len(arrays[0]):
+            return
+        length = max(needed + 1, len(arrays[0]) + len(arrays[0]) // 2)
+        demand(float(sum(length * a.itemsize * (a.size // len(a)) for a in arrays)), self._so_far)
+        for name, array in zip(names, arrays, strict=True):
+            setattr(self, name, of_length(array, length + len(array) - len(arrays[0])))
+
+    @property
+    def _so_far(self) -> str:
+        return (
+            f"so far {self.found} states were found, {self.expanded} of them expanded, "
+            f"with {self.transitions} transitions"
+        )
+
+    def _rule_text(self, number: int) -> str:
+        rule = self.problem.rules[number]
+        binding = f" ({binding_text(rule.binding)})" if rule.binding else ""
+        return f"`{rule.rule.name}`{binding}"
+
+    def _state_text(self, state: int) -> str:
+        return state_text(self.problem.unpack(self.words[state]))
+
+    def _conflict(self, state: int, first: int, second: int) -> MeaningError:
+        action = self.problem.rules[first].action
+        return MeaningError(
+            f"`{action}` is covered by rules {self._rule_text(first)} and "
+            f"{self._rule_text(second)} in the state {self._state_text(state)}"
+        )
+
+    def _unknown(self, state: int, number: int, _: int) -> MeaningError:
+        distribution = self.problem.distributions[self.problem.rule_distribution[number]]
+        return MeaningError(
+            f"rule {distribution} has no probabilities, and covers the state {self._state_text(state)}"
+        )
+
+
+class _Chunk:
+    """A stretch of states being expanded: what a thread finds, and its room to work in."""
+
+    def __init__(self, search: Search) -> None:
+        self.search = search
+        tables = search.problem.tables
+        most = max(len(tables.outcome_slot), len(tables.rule_action))  # of one state
+        self.most = most
+        size = max(STRETCH, 2 * most)
+        self.first = self.last = 0
+        self.counts = np.zeros(5, np.int64)
+        self.state_row = np.zeros(STRETCH + 1, np.int64)
+        self.goal = np.zeros(STRETCH, np.bool_)
+        self.reward = np.zeros(STRETCH, np.float64)
+        self.row_rule = np.zeros(size, np.int32)
+        self.row_transition = np.zeros(size + 1, np.int64)
+        self.next_state = np.zeros(size, np.int32)
+        self.slot = np.zeros(size, np.int32)
+        self.new = np.zeros((size, tables.words), np.uint64)
+        self.clash = np.zeros(3, np.int64)
+        rule_bits = len(tables.rule_action) // 64 + 1
+        words = tables.words
+        sizes = (tables.extended_words, rule_bits, words, words, words)
+        self.room = [np.zeros(length, np.uint64) for length in sizes]
+
+    def expand(self, first: int, last: int, alone: bool = False) -> int:
+        """Expand some states; says how it ended."""
+        search = self.search
+        self.first, self.last = first, last
+        self.counts[:] = (first, 0, 0, 0, search.found)
+        while True:
+            end = self._call(WORTH if alone and threads() > 1 else 2**62 if alone else 0)
+            if alone:
+                search.found = int(self.counts[4])
+            if end == kernel.NO_ROOM:
+                search.make_room(search.found + self.most)
+                continue
+            if end != kernel.FULL:
+                return end
+            for name in ("row_rule", "row_transition", "next_state", "slot", "new"):
+                array = getattr(self, name)
+                demand(2.0 * array.nbytes, self.search._so_far)
+                setattr(self, name, of_length(array, 2 * len(array)))
+
+    def _call(self, alone: int) -> int:
+        search = self.search
+        t = search.problem.tables
+        expand: Any = kernel.expand  # its parameters are too many to be told apart by their types
+        return int(expand(
+            t.words, t.entry_word, t.entry_mask, t.entry_value, t.op_kind,
+            t.op_number, t.op_entries, t.op_word, t.op_bit, t.segment_ops, t.segment_loops,
+            t.rule_entries, t.rule_outcomes, t.rule_action, t.outcome_slot, t.outcome_noise,
+            t.outcome_delete, t.outcome_add,
+            t.outcome_effects, t.effect_entries, t.effect_changes, t.change_word, t.change_delete,
+            t.change_add, t.reward_entries, t.reward_value, t.goal_entries,
+            *t.rule_watch.arrays(), *t.effect_watch.arrays(), search.happens, search.to_sink,
+            search.table, search.words, self.first, self.last, alone,
+            self.counts, self.state_row, self.goal, self.reward, self.row_rule,
+            self.row_transition, self.next_state, self.slot, self.new, self.clash, *self.room,
+        ))  # fmt: skip
+
+
+def of_length(array: Any, length: int) -> Any:
+    """The beginning of an array, or a longer one that begins like it, with zeros behind."""
+    if length <= len(array):
+        return array[:length]
+    new = np.zeros((length, *array.shape[1:]), array.dtype)
+    new[: len(array)] = array
+    return new
