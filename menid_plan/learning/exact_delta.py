@@ -216,7 +216,9 @@ def _edges(
     mean = a / total
     spread = math.sqrt(mean * (b / total) / (total + 1.0))
     least, greatest = _support(mean, spread, a, b, negligible)
-    low, high = max(low, min(least, high)), min(high, max(greatest, low))
+    low, high = max(low, least), min(high, greatest)
+    if low >= high:
+        return [mean, mean]
     inner = [mean, *bends]
     inner += [mean + sign * step * spread for step in _STEPS for sign in (-1.0, 1.0)]
     # A power that is not whole bends at the end of its range: shorter and shorter panels there.
@@ -226,7 +228,9 @@ def _edges(
         inner += [
             1.0 - 10.0**-power * min(1.0 - low, spread) for power in (0.5, 1.0, 2.0, 3.0, 5.0, 8.0)
         ]
-    inside = sorted({x for x in inner if low < x < high})
+    # In a very short panel at 0 or 1 a node would be rounded to the end, where no density is.
+    short = 1e-12 * (high - low)
+    inside = sorted({x for x in inner if low + short < x < high - short})
     return [low, *inside, high]
 
 
