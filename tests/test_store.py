@@ -7,6 +7,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -581,30 +582,31 @@ except MenidError as error:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs the rights of POSIX")
 @pytest.mark.parametrize("logged", [False, True])
-def test_a_folder_that_may_only_be_read(path: Path, logged: bool) -> None:
-    with Store.create(path, *BOTH) as store:
-        store.add([test_of(0)])
-    if logged:  # as a writer leaves it that closes while somebody reads
-        connection = sqlite3.connect(path)
-        connection.execute("PRAGMA journal_mode = WAL")
-        connection.close()
-    folder = path.parent
-    for parent in folder.parents:
-        if parent.name.startswith(("pytest-", "popen-")):
-            parent.chmod(0o755)
-    folder.chmod(0o555)
-    path.chmod(0o444)
-    try:
-        done = subprocess.run(
-            [sys.executable, "-c", ORDINARY, path, ROOT / "tests", ROOT],
-            capture_output=True, text=True, check=True, timeout=60,
-        )  # fmt: skip
-    finally:
-        folder.chmod(0o755)
+def test_a_folder_that_may_only_be_read(logged: bool) -> None:
+    # Not in pytest's own folder, into which another user may not look.
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name).resolve()
+        path = folder / "run.store"
+        with Store.create(path, *BOTH) as store:
+            store.add([test_of(0)])
+        if logged:  # as a writer leaves it that closes while somebody reads
+            connection = sqlite3.connect(path)
+            connection.execute("PRAGMA journal_mode = WAL")
+            connection.close()
+        path.chmod(0o444)
+        folder.chmod(0o555)
+        try:
+            done = subprocess.run(
+                [sys.executable, "-c", ORDINARY, path, ROOT / "tests", ROOT],
+                capture_output=True, text=True, check=False, timeout=60,
+            )  # fmt: skip
+        finally:
+            folder.chmod(0o755)
+        assert done.returncode == 0, done.stderr
+        assert [p.name for p in folder.iterdir() if "lock" not in p.name] == ["run.store"]
     length, error = done.stdout.splitlines()
     assert length == "1"
     assert error.startswith(f"5 cannot open the store `{path}`: it may not be written to")
-    assert [p.name for p in folder.iterdir() if "lock" not in p.name] == ["run.store"]
 
 
 def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
