@@ -157,8 +157,8 @@ def advance(
                     hi, leaves,
                 )  # fmt: skip
                 spent += 2 * block_work
-        error = ROUNDING * (longest + 8) * state[LARGEST]
-        shift = max(state[SHIFT], 16.0 * error)
+        error = ROUNDING * (longest + 5) * state[LARGEST]
+        shift = max(state[SHIFT], 6.0 * error)
         state[SHIFT] = shift
         if state[BLOCK_SWEEPS] > state[PATIENCE]:
             return SLOW
@@ -234,7 +234,7 @@ def advance(
             wanted = own / (4.0 * state[STAY])
             if wanted < 0.5 * shift:
                 state[SHIFT] = wanted
-                state[PHASE] = VALUE if shift > 17.0 * error else CHECK
+                state[PHASE] = VALUE if shift > 6.5 * error else CHECK
             else:
                 state[PHASE] = CHECK
 
@@ -248,7 +248,7 @@ def advance(
             for u in range(first, last):
                 lo[u] = hi[u] - width - shift * stay[u]
                 hi[u] += shift * stay[u]
-            error = ROUNDING * (longest + 8) * (state[LARGEST] + shift * state[STAY])
+            error = ROUNDING * (longest + 5) * (state[LARGEST] + shift * state[STAY])
             choose_certified(
                 first, last, max(4.0 * error, 0.05 * shift), error, first_row, first_entry,
                 target, weight, constant, floor, lo, policy,
@@ -290,7 +290,7 @@ def advance(
             gap = 0.0
             for u in range(first, last):
                 gap = max(gap, hi[u] - lo[u])
-            if gap <= allowed or shift <= 17.0 * error or state[BLOCK_SWEEPS] >= GIVE_UP:
+            if gap <= allowed or shift <= 6.5 * error or state[BLOCK_SWEEPS] >= GIVE_UP:
                 for u in range(first, last):
                     stay[u] = 0.0
                 state[BLOCK] += 1

@@ -14,8 +14,8 @@ Block by block, from the ends backward. With T the right-hand side of the equati
 Why these are bounds: the cores that are built have no end component in which one could stay without
 loss (they are merged, see `menid_solvers.end_components`), so that T(hi) <= hi bounds every policy
 that leaves, and the others earn minus infinity (Bertsekas and Tsitsiklis 1991).
-Rounding: each sum is off by at most (entries + 8) * 2^-53 times the largest value; c is never
-smaller than twice that. If this makes the gap too wide the answer says so.
+Rounding: each sum is off by at most (entries + 5) * 2^-53 times the largest value; c is never
+smaller than six times that. If this makes the gap too wide the answer says so.
 """
 
 from __future__ import annotations
@@ -205,7 +205,7 @@ def _partial(
     elif begun and from_below:
         # Sweeps that started below the values stay below, but for the rounding of each.
         sweeps = state[kernels.BLOCK_SWEEPS] * 9 * (last - first)
-        error = kernels.ROUNDING * (core.longest + 8) * state[kernels.LARGEST]
+        error = kernels.ROUNDING * (core.longest + 5) * state[kernels.LARGEST]
         low = np.maximum(low, hi[first:last] - width - sweeps * error)
     unset = np.arange(first, core.unknowns)
     lowest_row = core.first_row[unset]
@@ -262,7 +262,7 @@ def _eliminate(
             scale /= 1000.0
             continue
         largest = max(float(state[kernels.LARGEST]), float(np.max(np.abs(answer[:, :2]))))
-        error = kernels.ROUNDING * (core.longest + 8) * largest
+        error = kernels.ROUNDING * (core.longest + 5) * largest
         longest_stay = float(np.max(answer[:, 2]))
         shift = max(scale * own / (4.0 * longest_stay), 4.0 * error)
         x[part] = answer[:, 0] + shift * answer[:, 2]
