@@ -114,6 +114,14 @@ def _show(kind: dict[str, Any]) -> None:
     help="Executions of each action in each state.",
 )
 @click.option(
+    "--states",
+    type=click.IntRange(1),
+    default=10,
+    show_default=True,
+    metavar="N",
+    help="Visit so many states at most.",
+)
+@click.option(
     "--seed",
     type=click.IntRange(0),
     default=0,
@@ -129,6 +137,7 @@ def check_environments(
     run_file: str,
     names: tuple[str, ...],
     executions: int,
+    states: int,
     seed: int,
     settings: dict[str, float],
     as_json: bool,
@@ -146,7 +155,9 @@ def check_environments(
     for name in names:
         if name not in known:
             raise click.UsageError(f"`{run_file}` has no environment `{name}`: {', '.join(known)}")
-    reports = [check(known[name], executions, seed) for name in dict.fromkeys(names or known)]
+    reports = [
+        check(known[name], executions, seed, states) for name in dict.fromkeys(names or known)
+    ]
     if as_json:
         click.echo(json.dumps({"environments": [_as_json(r) for r in reports]}, indent=2))
     else:

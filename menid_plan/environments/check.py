@@ -24,8 +24,9 @@ from menid_plan.grounding.state import GroundAction, State, state_text
 
 Verdict = Literal["pass", "fail", "skip"]
 
-# At most so many states are visited, and so many faults told for each thing that is looked at.
-MAX_STATES = 5
+# How many states are visited unless the caller says otherwise, and how many faults are told at most
+# for each thing that is looked at.
+MAX_STATES = 10
 MAX_FAULTS = 5
 
 
@@ -75,15 +76,16 @@ def check(
     spec: EnvironmentSpec,
     executions: int = 5,
     seed: int = 0,
+    states: int = MAX_STATES,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Report:
     """Build an environment, use it and see whether it keeps to the protocol.
 
-    In its first state and a few that are reached from there, every action that applies is executed
-    so many times, each with a seed of its own that follows from ``seed``; then some again with the
-    same seed. Never raises what the environment does wrong.
+    In its first state and some that are reached from there, ``states`` at most, every action that
+    applies is executed ``executions`` times, each with a seed of its own that follows from ``seed``;
+    then some again with the same seed. Never raises what the environment does wrong.
     """
-    return _Check(spec, executions, seed, progress).report()
+    return _Check(spec, executions, seed, states, progress).report()
 
 
 class _Check:
@@ -92,9 +94,11 @@ class _Check:
         spec: EnvironmentSpec,
         executions: int,
         seed: int,
+        states: int,
         progress: Callable[[str], None],
     ) -> None:
         self.spec, self.executions, self.seed, self.progress = spec, executions, seed, progress
+        self.most = states
         self.seeds = count(seed)
         self.attributor = Attributor(spec.domain, spec.problem, spec.params)
         self.findings: list[Finding] = []
@@ -140,7 +144,7 @@ class _Check:
             return
         self._given_state(session)
         tried = list(self._try_actions(session, first))
-        if not tried:
+        if not self.tallies and not self.faults:
             self._find("its actions can be executed", f"none applies in {state_text(first)}")
             return
         total = sum(tally.executions for tally in self.tallies.values())
@@ -189,7 +193,7 @@ class _Check:
         """
         anywhere = session.capabilities.reset_to_any
         waiting = [first]
-        while waiting and len(self.visited) < MAX_STATES:
+        while waiting and len(self.visited) < self.most:
             state = waiting.pop(0)
             if state in self.visited:
                 continue

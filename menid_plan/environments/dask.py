@@ -46,22 +46,37 @@ def _at_worker(pool: str, specs: bytes) -> _Kept:
     return found
 
 
-def _build(pool: str, specs: bytes, name: str) -> Capabilities:
-    found = _at_worker(pool, specs)
-    return found.lane.build(found.specs[name])
+# Failures are given back, not raised: Dask would write each of them into its log with a traceback.
 
 
-def _run(pool: str, specs: bytes, task: Task) -> Execution:
+def _build(pool: str, specs: bytes, name: str) -> Capabilities | MenidError:
     found = _at_worker(pool, specs)
-    return found.lane.run(found.specs[task.environment], task)
+    try:
+        return found.lane.build(found.specs[name])
+    except MenidError as error:
+        return error
+
+
+def _run(pool: str, specs: bytes, task: Task) -> Execution | MenidError:
+    found = _at_worker(pool, specs)
+    try:
+        return found.lane.run(found.specs[task.environment], task)
+    except MenidError as error:
+        return error
+
+
+def _interrupt(pool: str) -> None:
+    for found in list(_kept.values()):
+        if found.pool == pool:
+            found.lane.interrupt()
 
 
 def _end(pool: str) -> None:
     with _lock:
-        for thread, found in list(_kept.items()):
-            if found.pool == pool:
-                del _kept[thread]
-                found.lane.interrupt()
+        ours = [thread for thread, found in _kept.items() if found.pool == pool]
+        lanes = [_kept.pop(thread).lane for thread in ours]
+    for lane in lanes:
+        lane.close()
 
 
 class Cluster:
@@ -87,20 +102,23 @@ class Cluster:
     def ask(self, function: Any, argument: object) -> Any:
         """What a function gives on one of the workers."""
         try:
-            return self._executor.submit(function, self._pool, self._specs, argument).result()
-        except MenidError:
-            raise
+            future = self._executor.submit(function, self._pool, self._specs, argument)
+            answer = future.result()
         except BaseException as error:  # cancelled, worker lost, scheduler gone
             raise WorkerFailedError("crash", f"Dask: {type(error).__name__}: {error}") from error
+        if isinstance(answer, MenidError):
+            raise answer
+        return answer
 
     def interrupt(self) -> None:
-        """End the processes that the pool has on the workers."""
+        """Kill the processes that the pool has on the workers."""
         with suppress(Exception):
-            self._client.run(_end, self._pool)
+            self._client.run(_interrupt, self._pool)
 
     def close(self) -> None:
-        """End those processes and leave the scheduler."""
-        self.interrupt()
+        """End those processes, in which nothing runs any more, and leave the scheduler."""
+        with suppress(Exception):
+            self._client.run(_end, self._pool)
         self._executor.shutdown()
         self._client.close()
 

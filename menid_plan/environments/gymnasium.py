@@ -49,7 +49,7 @@ class GymEnv(gymnasium.Env[Observation, np.int64]):
     problem ends where it begins.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["ansi"]}  # noqa: RUF012 - the base class has it so
+    metadata: dict[str, Any] = {"render_modes": ["ansi"], "render_fps": 1}  # noqa: RUF012 - the base class has it so
 
     def __init__(
         self,
@@ -63,14 +63,14 @@ class GymEnv(gymnasium.Env[Observation, np.int64]):
         render_mode: str | None = None,
     ) -> None:
         self._semantics = Semantics(domain, problem, params, noise)
+        if self._semantics.is_final(self._semantics.initial_state):
+            raise MeaningError(f"problem `{problem.name}` ends where it begins")
         self._sampler = Sampler(self._semantics, environment or domain.target)
         grounded = ground(domain, problem, params)
         self.facts = grounded.facts
         self.actions: tuple[GroundAction, ...] = grounded.actions
         if not self.facts or not self.actions:
             raise MeaningError(f"in problem `{problem.name}` there is nothing to do, or to change")
-        if self._semantics.is_final(self._semantics.initial_state):
-            raise MeaningError(f"problem `{problem.name}` ends where it begins")
         self.action_space = gymnasium.spaces.Discrete(len(self.actions))
         self.observation_space = gymnasium.spaces.MultiBinary(len(self.facts))
         self.render_mode = render_mode

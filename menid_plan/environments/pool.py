@@ -266,13 +266,14 @@ class Pool:
             self._closed = True
             while self._pending:
                 self._pending.popleft().cancel()
-            busy = sum(self._running.values()) > 0
             self._changed.notify_all()
-        if busy:
-            for lane in self._lanes:
-                lane.interrupt()
         for thread in self._threads:
-            thread.join()
+            while thread.is_alive():
+                # Again and again: a lane may just have started what is to be interrupted.
+                if sum(self._running.values()) > 0:
+                    for lane in self._lanes:
+                        lane.interrupt()
+                thread.join(0.1)
         if self._here is not None:
             self._here.close()
         if self._cluster is not None:

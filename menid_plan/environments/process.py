@@ -10,6 +10,7 @@ import json
 import math
 import os
 import shutil
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, NoReturn
@@ -34,8 +35,9 @@ PROTOCOL = 1
 class Process:
     """Runs a program and speaks with it in lines of JSON on its standard streams.
 
-    ``command`` is the program and its arguments; it is started without a shell, in ``folder``, by
-    default that of the run file, where a program given with a path is looked for too.
+    ``command`` is the program and its arguments; ``{python}`` as the program is the Python that runs
+    menid. It is started without a shell in ``folder``, by default that of the run file, where a program
+    given with a path is looked for too.
     ``options`` are handed to the program when it starts: whatever TOML can write.
     """
 
@@ -57,7 +59,10 @@ class Process:
         if not folder.is_dir():
             raise SettingError("folder", f"there is no folder `{folder}`")
         program = self.command[0]
-        if os.path.dirname(program):
+        found: str | None
+        if program == "{python}":
+            found = sys.executable
+        elif os.path.dirname(program):
             found = str(folder / program) if (folder / program).is_file() else None
         else:
             found = shutil.which(program)

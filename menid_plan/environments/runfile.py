@@ -187,7 +187,7 @@ def parse_run_file(
         # A byte-order mark is what some editors put in front.
         table = tomllib.loads(text.removeprefix("\ufeff").replace("\r\n", "\n"))
     except tomllib.TOMLDecodeError as error:
-        raise RunFileError(str(path), [_syntax_message(str(error))]) from error
+        raise RunFileError(str(path), [_syntax_message(str(error), text)]) from error
     except RecursionError as error:
         raise RunFileError(str(path), ["the tables are nested too deeply"]) from error
     wanted = dict(sections or {})
@@ -245,9 +245,10 @@ def _section(kind: type, table: Mapping[str, object], name: str, faults: list[st
     return found
 
 
-def _syntax_message(message: str) -> str:
+def _syntax_message(message: str, text: str) -> str:
     """What the TOML reader says, its place first."""
     place = re.search(r" \(at line (\d+), column (\d+)\)$", message)
     if place is None:
-        return message
+        lines = len(text.splitlines()) or 1
+        return f"line {lines}: {message.removesuffix(' (at end of document)')}"
     return f"line {place[1]}, column {place[2]}: {message[: place.start()]}"

@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import IO, Literal, TypeAlias
@@ -156,10 +157,7 @@ class Worker:
         return answer
 
     def _ask(self, request: object, timeout: float | None, doing: str) -> object:
-        timer = None if timeout is None else threading.Timer(timeout, self._too_late)
-        if timer is not None:
-            timer.daemon = True
-            timer.start()
+        _watch.begin(self, timeout)
         try:
             self._send(pickle.dumps(request))
             assert self._process.stdout is not None
@@ -167,8 +165,7 @@ class Worker:
         except OSError:
             data = None
         finally:
-            if timer is not None:
-                timer.cancel()
+            _watch.end(self)
         if data is None or self._late:
             code = self._end()
             if self._late:
@@ -191,7 +188,8 @@ class Worker:
         self._process.stdin.write(len(data).to_bytes(8, "little") + data)
         self._process.stdin.flush()
 
-    def _too_late(self) -> None:
+    def too_late(self) -> None:
+        """Kill the process since it took too long; called from the thread that watches."""
         self._late = True
         self._process.kill()
 
@@ -222,6 +220,49 @@ class Worker:
         self._process.wait()
         timer.cancel()
         self._end()
+
+
+class _Watch:
+    """One thread for the time limits of all workers of this process; it looks ten times a second.
+
+    A timer for each request would cost more than a short execution does.
+    """
+
+    PERIOD = 0.1
+
+    def __init__(self) -> None:
+        self._deadlines: dict[Worker, float] = {}
+        self._lock = threading.Lock()
+        self._running = False
+
+    def begin(self, worker: Worker, timeout: float | None) -> None:
+        if timeout is None:
+            return
+        with self._lock:
+            self._deadlines[worker] = time.monotonic() + timeout
+            if self._running:
+                return
+            self._running = True
+        threading.Thread(target=self._look, daemon=True).start()
+
+    def end(self, worker: Worker) -> None:
+        with self._lock:
+            self._deadlines.pop(worker, None)
+
+    def _look(self) -> None:
+        while True:
+            time.sleep(self.PERIOD)
+            now = time.monotonic()
+            with self._lock:
+                if not self._deadlines:
+                    self._running = False
+                    return
+                for worker in [w for w, deadline in self._deadlines.items() if deadline < now]:
+                    del self._deadlines[worker]
+                    worker.too_late()  # within the lock: whoever ends it sees that it was late
+
+
+_watch = _Watch()
 
 
 def _ending(code: int) -> str:

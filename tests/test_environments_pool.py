@@ -1,0 +1,264 @@
+"""Workers: the same results in any number of them, and what becomes of crashes and hangs."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import CancelledError
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import menid_plan
+from conftest import ROOT
+from environments_faulty import Faulty
+from menid_plan.environments.interface import CannotResetError, Execution
+from menid_plan.environments.pool import (
+    Counts,
+    ExecutionFailedError,
+    ExecutionFuture,
+    Failure,
+    Pool,
+    in_order,
+)
+from menid_plan.environments.registry import EnvironmentSpec
+from menid_plan.environments.simulated import Simulated
+from menid_plan.errors import MenidError
+from menid_plan.grounding.state import GroundAction
+
+DOCUMENT = menid_plan.read(ROOT / "domains" / "hdd" / "bench.menid")
+assert DOCUMENT.domain is not None
+assert DOCUMENT.problem is not None
+INITIAL = frozenset(DOCUMENT.problem.init)
+LEVER = GroundAction("lever", ("n8",))
+N = 12
+
+
+def spec(kind: Any, **options: Any) -> EnvironmentSpec:
+    return EnvironmentSpec("coarse", kind, DOCUMENT.domain, DOCUMENT.problem, **options)
+
+
+def submitted(pool: Pool, n: int = N) -> list[ExecutionFuture]:
+    return [pool.submit("coarse", INITIAL, LEVER, seed=k, number=k) for k in range(n)]
+
+
+def results(pool: Pool, n: int = N) -> list[Execution]:
+    return [future.result() for future in in_order(reversed(submitted(pool, n)))]
+
+
+@pytest.fixture(scope="module")
+def expected() -> list[Execution]:
+    with Pool([spec(Simulated())], workers=0) as pool:
+        return results(pool)
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_any_number_of_workers_gives_the_same(expected: list[Execution], workers: int) -> None:
+    with Pool([spec(Simulated())], workers) as pool:
+        assert pool.workers == workers
+        assert results(pool) == expected
+        assert pool.counts == {"coarse": Counts(executions=N)}
+
+
+def test_what_environments_print_does_no_harm(expected: list[Execution]) -> None:
+    with Pool([spec(Faulty("print"))], 1) as pool:
+        assert results(pool, 3) == expected[:3]
+
+
+@pytest.mark.parametrize(
+    ("fault", "trouble"), [("exit", "crashes"), ("segfault", "crashes"), ("fail", "errors")]
+)
+def test_a_worker_that_crashes_costs_one_attempt(
+    tmp_path: Path, expected: list[Execution], fault: str, trouble: str
+) -> None:
+    failures: list[Failure] = []
+    faulty = Faulty(fault, every=5, once=str(tmp_path))
+    with Pool([spec(faulty)], 2, failed=failures.append) as pool:
+        assert results(pool) == expected  # as if nothing had happened
+        assert pool.counts["coarse"] == Counts(executions=N, **{trouble: 3})
+    assert sorted(f.number for f in failures) == [0, 5, 10]
+    assert {f.attempt for f in failures} == {1}
+    if fault == "exit":
+        assert "executing `lever(n8)`, its process ended with exit code 3" in str(failures[0])
+    if fault == "segfault":
+        assert "SIGSEGV" in failures[0].message
+
+
+def test_a_worker_that_hangs_is_replaced(tmp_path: Path, expected: list[Execution]) -> None:
+    failures: list[Failure] = []
+    faulty = Faulty("hang", every=6, once=str(tmp_path))
+    with Pool([spec(faulty, timeout=0.2)], 2, failed=failures.append) as pool:
+        assert results(pool) == expected
+        assert pool.counts["coarse"] == Counts(executions=N, timeouts=2)
+    assert "took more than 1.2 s" in failures[0].message
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_after_so_many_retries_it_is_given_up(expected: list[Execution], workers: int) -> None:
+    with Pool([spec(Faulty("fail", every=2), retries=1)], workers) as pool:
+        futures = submitted(pool, 4)
+        with pytest.raises(ExecutionFailedError) as caught:
+            futures[0].result()
+        assert len(caught.value.failures) == 2
+        assert str(caught.value).endswith(
+            "execution 0, `lever(n8)`, failed 2 times; last: "
+            "environment `coarse`: the gripper is stuck"
+        )
+        assert [f.result() for f in futures[1::2]] == expected[1:4:2]
+        assert pool.counts["coarse"] == Counts(executions=2, errors=4, given_up=2)
+
+
+def test_an_environment_that_does_not_start() -> None:
+    with (
+        Pool([spec(Faulty("start"), retries=0)], 1) as pool,
+        pytest.raises(ExecutionFailedError, match="it does not start"),
+    ):
+        submitted(pool, 1)[0].result()
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_what_no_retry_mends_is_not_tried_again(workers: int) -> None:
+    with Pool([spec(Faulty("cannot-reset"))], workers) as pool:
+        with pytest.raises(CannotResetError, match="not there"):
+            submitted(pool, 1)[0].result()
+        assert pool.counts["coarse"] == Counts()
+    with Pool([spec(Simulated(column="rbot"))], workers) as pool:
+        with pytest.raises(MenidError, match=r"environment\.coarse\.settings\.column") as caught:
+            submitted(pool, 1)[0].result()
+        assert caught.value.exit_code == 3
+
+
+def test_one_copy_at_most(tmp_path: Path, expected: list[Execution]) -> None:
+    diary = tmp_path / "diary"
+    with Pool([spec(Faulty(diary=str(diary), parallel=False))], 3) as pool:
+        assert results(pool) == expected
+    assert len(diary.read_text().split()) == 1
+
+
+def test_no_more_copies_at_once_than_asked_for(expected: list[Execution]) -> None:
+    with Pool([spec(Simulated(), workers=1)], 2) as pool:
+        assert results(pool) == expected
+
+
+def test_the_rest_is_dropped() -> None:
+    with Pool([spec(Simulated())], 1) as pool:
+        futures = submitted(pool, 200)
+        first: Iterator[ExecutionFuture] = in_order(futures)
+        assert next(first).number == 0
+        first.close()  # type: ignore[attr-defined]
+        assert futures[-1].cancelled()
+    pool.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        submitted(pool, 1)
+
+
+def test_closing_ends_what_runs() -> None:
+    with Pool([spec(Faulty("hang"))], 1) as pool:
+        future, waiting = submitted(pool, 2)
+        while not future.running():
+            time.sleep(0.01)
+        time.sleep(0.1)
+        begin = time.monotonic()
+    assert time.monotonic() - begin < 20
+    assert waiting.cancelled()
+    with pytest.raises(CancelledError):
+        future.result()
+
+
+def test_an_unknown_environment() -> None:
+    with Pool([spec(Simulated())], 0) as pool, pytest.raises(KeyError):
+        pool.submit("corse", INITIAL, LEVER, 0)
+
+
+# --------------------------------------------------------------------- workers outlive no parent
+
+PARENT = """
+import sys, time
+import menid_plan
+from environments_faulty import Faulty
+from menid_plan.environments.pool import Pool
+from menid_plan.environments.registry import EnvironmentSpec
+from menid_plan.grounding.state import GroundAction
+document = menid_plan.read(sys.argv[1])
+kind = Faulty(sys.argv[2], diary=sys.argv[3])
+spec = EnvironmentSpec("coarse", kind, document.domain, document.problem)
+pool = Pool([spec], 2)
+for k in range(2):
+    pool.submit("coarse", frozenset(document.problem.init), GroundAction("lever", ("n8",)), k)
+    time.sleep(0.2)
+time.sleep(3600)
+"""
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+        status = Path(f"/proc/{pid}/stat")
+        # A zombie has ended; whoever inherited it will notice.
+        return not status.exists() or status.read_text().rpartition(")")[2].split()[0] != "Z"
+    except (ProcessLookupError, FileNotFoundError):
+        return False
+
+
+def wait_until(condition: Any, seconds: float = 30) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="there is no SIGKILL here")
+@pytest.mark.parametrize("fault", ["", "hang"])
+def test_workers_end_with_their_parent(tmp_path: Path, fault: str) -> None:
+    diary = tmp_path / "diary"
+    problem = ROOT / "domains" / "hdd" / "bench.menid"
+    parent = subprocess.Popen(
+        [sys.executable, "-c", PARENT, problem, fault, diary],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        stderr=subprocess.DEVNULL,
+    )
+    wanted = 2 if fault else 1  # one that does not hang may do both
+    try:
+        wait_until(lambda: diary.exists() and len(diary.read_text().split()) >= wanted)
+    finally:
+        parent.kill()
+        parent.wait()
+    for pid in map(int, diary.read_text().split()):
+        assert pid != parent.pid
+        wait_until(lambda pid=pid: not is_alive(pid), 10)
+
+
+# ------------------------------------------------------------------------------------------ Dask
+
+
+@pytest.mark.skipif(not find_spec("distributed"), reason="needs the extra `dask`")
+@pytest.mark.filterwarnings("default")
+def test_on_a_dask_scheduler(tmp_path: Path, expected: list[Execution]) -> None:
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=1, threads_per_worker=2, host="127.0.0.1", dashboard_address=None,
+        processes=False, protocol="tcp",
+    ) as cluster:  # fmt: skip
+        faulty = Faulty("exit", every=5, once=str(tmp_path))
+        with Pool([spec(faulty)], 2, scheduler=cluster.scheduler_address) as pool:
+            assert results(pool) == expected
+            assert pool.counts["coarse"] == Counts(executions=N, crashes=3)
+        with (
+            Pool([spec(Faulty(parallel=False))], 1, cluster.scheduler_address) as pool,
+            pytest.raises(MenidError, match="allows no copies"),
+        ):
+            submitted(pool, 1)[0].result()
+
+
+def test_no_scheduler_there() -> None:
+    if not find_spec("distributed"):
+        pytest.skip("needs the extra `dask`")
+    with pytest.raises(MenidError, match="the scheduler at nonsense"):
+        Pool([spec(Simulated())], 1, scheduler="nonsense://x")
