@@ -27,7 +27,7 @@ from menid_plan.learning.confidence import (
     thompson_product,
     thompson_samples,
 )
-from menid_plan.learning.exact_delta import LEAST_EPSILON, Errors
+from menid_plan.learning.exact_delta import LEAST_EPSILON, Errors, _of_few, _of_many
 
 GOLDEN = [
     ([5, 5], 0.330688, 0.266206, 0.228750),
@@ -121,7 +121,9 @@ def test_more_than_four_against_a_million_draws(counts: list[float]) -> None:
 def test_two_ways_of_integration_agree(counts: list[float]) -> None:
     errors = Errors.of(np.array(counts), 0.05)
     for d in (0.1, 0.2, 0.35):
-        assert errors._of_pairs(d) == pytest.approx(errors._of_many(d), abs=2e-5)
+        parts = errors._parts(d)
+        one, other = _of_few(parts, errors.negligible), _of_many(parts, errors.negligible)
+        assert one == pytest.approx(other, abs=2e-5)
 
 
 @settings(max_examples=40, deadline=None)

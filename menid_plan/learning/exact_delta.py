@@ -70,11 +70,26 @@ class Errors:
         """Pr(max_i |p_i - q_i| <= d)."""
         if d >= self.most:
             return 1.0
-        if len(self.q) == 2:
-            return self._of_two(d)
-        if len(self.q) <= 4:
-            return self._of_pairs(d)
-        return self._of_many(d)
+        parts = self._parts(d)
+        if len(parts) == 1:
+            return 1.0
+        if len(parts) <= 4:
+            return _of_few(parts, self.negligible)
+        return _of_many(parts, self.negligible)
+
+    def _parts(self, d: float) -> list[_Part]:
+        """The outcomes, where those that cannot be off by d are one: their gammas add up to one."""
+        total = math.fsum(self.alpha)
+        parts, free = [], [0.0, 0.0]
+        for a, q in zip(self.alpha, self.q, strict=True):
+            low, high = _support(a / total, math.sqrt(a) / total, a, a, self.negligible)
+            if max(low, 0.0) >= q - d and min(high, 1.0) <= q + d:
+                free = [free[0] + a, free[1] + q]
+            else:
+                parts.append(_Part(a, q, d))
+        if free[0] > 0.0:
+            parts.append(_Part(free[0], free[1], math.inf))
+        return parts
 
     def guess(self, epsilon: float) -> float:
         """About the bound: the errors as independent normal ones."""
@@ -88,55 +103,104 @@ class Errors:
             d = max(d / 2.0, d + math.log(tail / epsilon) * tail / slope)
         return d
 
-    # ------------------------------------------------------------------------------ two outcomes
 
-    def _of_two(self, d: float) -> float:
-        (a, b), q = self.alpha, self.q[0]
-        edges = _edges(max(0.0, q - d), min(1.0, q + d), a, b, self.negligible)
-        nodes, weights = _panels(edges)
-        return float(weights @ _beta_density(nodes, a, b))
+@dataclass(frozen=True, slots=True, order=True)
+class _Part:
+    """A component of the Dirichlet: its parameter, the estimate, and how far off it may be."""
 
-    # ---------------------------------------------------------------------- three or four outcomes
+    alpha: float
+    q: float
+    d: float
 
-    def _of_pairs(self, d: float) -> float:
-        order = _pairing(self.alpha)
-        alpha, q = [self.alpha[i] for i in order], [self.q[i] for i in order]
-        a, b, middle = sum(alpha[:2]), sum(alpha[2:]), q[0] + q[1]
-        one = len(q) == 3
-        reach = d if one else 2.0 * d
-        low, high = max(0.0, middle - reach), min(1.0, middle + reach)
-        bends = [middle, *(side + sign * d for side in q[:2] for sign in (-1.0, 1.0))]
-        if not one:
-            bends += [1.0 - side - sign * d for side in q[2:] for sign in (-1.0, 1.0)]
-        nodes, weights = _panels(_edges(low, high, a, b, self.negligible, bends))
-        value = _beta_density(nodes, a, b) * weights
-        value *= _share_within(nodes, alpha[:2], q[:2], d)
-        if not one:
-            value *= _share_within(1.0 - nodes, alpha[2:], q[2:], d)
-        return float(value.sum())
+    @property
+    def range(self) -> tuple[float, float]:
+        return max(0.0, self.q - self.d), min(1.0, self.q + self.d)
 
-    # -------------------------------------------------------------------------- any number of them
 
-    def _of_many(self, d: float) -> float:
-        total = sum(self.alpha)
-        number: dict[tuple[float, float], int] = {}
-        for pair in zip(self.alpha, self.q, strict=True):
-            number[pair] = number.get(pair, 0) + 1
-        parts: list[tuple[float, float, float, int]] = []
-        for (a, q), often in number.items():
-            low, high = _support(a / total, math.sqrt(a) / total, a, a, self.negligible)
-            low, high = max(0.0, q - d, low), min(1.0, q + d, high)
-            if low >= high:
-                return 0.0
-            parts.append((a, low, high, often))
-        least = sum(low * often for _, low, _, often in parts)
-        greatest = sum(high * often for _, _, high, often in parts)
-        # With that period no other copy of the density reaches the sum 1.
-        period = 1.001 * max(greatest - 1.0, 1.0 - least)
-        if not least < 1.0 < greatest:
+# ----------------------------------------------------------------------------- two to four components
+
+
+def _of_few(parts: list[_Part], negligible: float) -> float:
+    """The probability that all components are in their ranges, for two, three or four of them."""
+    groups = _groups(parts)
+    (a, low, high, bends), (b, least, most, others) = map(_sum_of, groups, [_sum_alpha(parts)] * 2)
+    low, high = max(low, 1.0 - most), min(high, 1.0 - least)
+    if low >= high:
+        return 0.0
+    bends += [1.0 - bend for bend in others]
+    t, weights = _panels(_edges(low, high, a, b, negligible, bends))
+    value = _beta_density(t, a, b) * weights
+    for group, total in zip(groups, (t, 1.0 - t), strict=True):
+        if len(group) == 2:
+            value *= _share_within(total, *group)
+    return float(value.sum())
+
+
+def _sum_alpha(parts: Iterable[_Part]) -> float:
+    """The sum of the components' parameters."""
+    return math.fsum(part.alpha for part in parts)
+
+
+def _groups(parts: list[_Part]) -> tuple[list[_Part], list[_Part]]:
+    """The components in two groups of one or two, first the one with the smaller sum.
+
+    That sum is integrated over: numbers near 0 are exact, near 1 they are not. It varies as little as
+    it may, so that what varies more is within the groups, where the integrand is smooth.
+    """
+    firsts: list[tuple[int, ...]]
+    firsts = [(0, i) for i in range(1, 4)] if len(parts) == 4 else [(i,) for i in range(len(parts))]
+    total = _sum_alpha(parts)
+    splits = []
+    for first in firsts:
+        one = [parts[i] for i in first]
+        size = _sum_alpha(one)
+        rest = [part for i, part in enumerate(parts) if i not in first]
+        splits.append((size * (total - size), (one, rest) if 2.0 * size <= total else (rest, one)))
+    return min(splits, key=lambda split: split[0])[1]
+
+
+def _sum_of(group: list[_Part], total: float) -> tuple[float, float, float, list[float]]:
+    """A group's sum: its parameter, its range, and where the integrand over it bends."""
+    low = sum(part.range[0] for part in group)
+    high = min(1.0, sum(part.range[1] for part in group))
+    alpha = _sum_alpha(group)
+    bends = [sum(part.q for part in group)]
+    if len(group) == 2:
+        small, large = sorted(group)
+        ends = [part.q + sign * part.d for part in group for sign in (-1.0, 1.0)]
+        spread = math.sqrt(small.alpha) / total
+        if large.d > 10.0 * spread:  # what the larger one may be is passed within a short way
+            far = [small.alpha / total + step * spread for step in (0.0, 4.0, 12.0)]
+            ends += [large.q + sign * large.d + step for step in far for sign in (-1.0, 1.0)]
+        bends += [end for end in ends if math.isfinite(end)]
+    return alpha, low, high, bends
+
+
+# ------------------------------------------------------------------------------- more components
+
+
+def _of_many(parts: list[_Part], negligible: float) -> float:
+    """The same for any number of components, as gammas under the condition that they sum to 1."""
+    total = _sum_alpha(parts)
+    number: dict[_Part, int] = {}
+    for part in parts:
+        number[part] = number.get(part, 0) + 1
+    gammas: list[tuple[float, float, float, int]] = []
+    for part, often in number.items():
+        spread = math.sqrt(part.alpha) / total
+        low, high = _support(part.alpha / total, spread, part.alpha, part.alpha, negligible)
+        low, high = max(part.range[0], low), min(part.range[1], high)
+        if low >= high:
             return 0.0
-        density = _series(parts, total, period, self.negligible)
-        return density / (math.sqrt(total / math.tau) * math.exp(-_stirling_rest(total)))
+        gammas.append((part.alpha, low, high, often))
+    least = sum(low * often for _, low, _, often in gammas)
+    greatest = sum(high * often for _, _, high, often in gammas)
+    if not least < 1.0 < greatest:
+        return 0.0
+    # With that period no other copy of the density reaches the sum 1.
+    period = 1.001 * max(greatest - 1.0, 1.0 - least)
+    density = _series(gammas, total, period, negligible)
+    return density / (math.sqrt(total / math.tau) * math.exp(-_stirling_rest(total)))
 
 
 _ROOT_HALF = math.sqrt(0.5)
@@ -257,31 +321,15 @@ def _beta_density(t: Floats, a: float, b: float) -> Floats:
     return density
 
 
-# ------------------------------------------------------------------------------------------ pairs
-
-
-def _pairing(alpha: tuple[float, ...]) -> list[int]:
-    """An order of three or four outcomes: a pair, and the rest.
-
-    The sum of the pair varies as little as it may, so that what varies more is within the pairs,
-    where the integrand is smooth.
-    """
-    k, total = len(alpha), sum(alpha)
-    rests = [(i,) for i in range(3)] if k == 3 else [(0, 1), (0, 2), (0, 3)]
-    sums = [sum(alpha[i] for i in rest) for rest in rests]
-    best = min(range(3), key=lambda n: sums[n] * (total - sums[n]))
-    return [i for i in range(k) if i not in rests[best]] + list(rests[best])
-
-
-def _share_within(t: Floats, alpha: list[float], q: list[float], d: float) -> Floats:
-    """Pr(|p1 - q1| <= d and |p2 - q2| <= d) given p1 + p2 = t, for each t."""
+def _share_within(t: Floats, one: _Part, two: _Part) -> Floats:
+    """The probability that both are in their ranges given that they sum to t, for each t."""
     from scipy.special import betainc  # type: ignore[import-untyped]
 
-    (a, b), (first, second) = alpha, q
-    low = np.maximum(t - (second + d), max(0.0, first - d))
-    high = np.minimum(np.minimum(t - (second - d), first + d), t)
+    low = np.maximum(t - (two.q + two.d), max(0.0, one.q - one.d))
+    high = np.minimum(np.minimum(t - (two.q - two.d), one.q + one.d), t)
     high = np.maximum(low, high)
-    both = betainc(a, b, np.minimum(np.concatenate([low, high]) / np.concatenate([t, t]), 1.0))
+    shares = np.minimum(np.concatenate([low, high]) / np.concatenate([t, t]), 1.0)
+    both = betainc(one.alpha, two.alpha, shares)
     found: Floats = both[len(t) :] - both[: len(t)]
     return found
 
