@@ -23,6 +23,7 @@ from menid_plan.environments.registry import (
     load_kind,
     make,
 )
+from menid_plan.environments.seeds import seed_of
 from menid_plan.environments.settings import SettingError, read_settings
 from menid_plan.environments.simulated import Simulated
 from menid_plan.errors import MeaningError
@@ -318,6 +319,19 @@ def test_all_faults_of_a_table_are_told_at_once() -> None:
         "learn.inner.dept: unknown key; did you mean `depth`?",
         "learn.flag: expected true or false, not 1",
     ]
+
+
+# ----------------------------------------------------------------------------------------- seeds
+
+
+def test_seeds_follow_from_what_an_execution_is() -> None:
+    parts = [(0, "coarse", "lever(n8)", k) for k in range(1000)]
+    parts += [(1, "coarse", "lever(n8)", 0), (0, "fine", "lever(n8)", 0), (0, "coarselever(n8)", 0)]
+    seeds = [seed_of(*each) for each in parts]
+    assert len(set(seeds)) == len(seeds)
+    assert all(0 <= seed < 2**53 for seed in seeds)
+    assert max(seeds) > 2**52
+    assert seed_of(7) == 3118213489093189  # the same for ever, or old runs can't be repeated
 
 
 # ----------------------------------------------------------------------------------------- atoms

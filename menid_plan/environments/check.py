@@ -121,9 +121,11 @@ class _Check:
                 self._use(session)
             finally:
                 self._closes(session)
+        declared = [action.name for action in self.spec.domain.actions]
         return Report(
             self.spec.name, self.spec.kind.name, self.capabilities, tuple(self.findings),
-            tuple(self.tallies.values()), len(self.visited),
+            tuple(self.tallies[name] for name in declared if name in self.tallies),
+            len(self.visited),
         )  # fmt: skip
 
     def _find(self, about: str, *faults: str, passed: str = "") -> None:

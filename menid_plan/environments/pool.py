@@ -317,40 +317,39 @@ class Pool:
         return limit is None or self._running[name] < limit
 
     def _execute(self, lane: Lane, future: ExecutionFuture) -> None:
-        """Execute a task, again if it fails, and settle its future."""
+        """Execute a task and settle its future."""
+        try:
+            execution = self._attempts(lane, future)
+        except BaseException as error:  # whoever waits for the result has to know
+            future.set_exception(error)
+            if lane is self._here and not isinstance(error, Exception):
+                raise  # Ctrl-C in this very thread
+        else:
+            self._add(future.task.environment, executions=1)
+            future.set_result(execution)
+
+    def _attempts(self, lane: Lane, future: ExecutionFuture) -> Execution:
+        """Execute a task, again if it fails; raises ExecutionFailedError when that is enough."""
         task = future.task
         spec = self._specs[task.environment]
         failures: list[Failure] = []
-        while True:
+        while len(failures) <= spec.retries:
             try:
                 self._learn(lane, spec)
-                execution = lane.run(spec, task)
-            except CannotResetError as error:
-                future.set_exception(error)
-                return
+                return lane.run(spec, task)
+            except CannotResetError:
+                raise
             except EnvironmentFailedError as error:
                 if self._closed:
-                    future.set_exception(CancelledError())
-                    return
+                    raise CancelledError from error
                 trouble = error.trouble if isinstance(error, WorkerFailedError) else "error"
+                attempt = len(failures) + 1
                 failures.append(
-                    Failure(
-                        spec.name, task.action, future.number, len(failures) + 1, trouble,
-                        str(error),
-                    )
-                )  # fmt: skip
+                    Failure(spec.name, task.action, future.number, attempt, trouble, str(error))
+                )
                 self._note(failures[-1])
-                if len(failures) > spec.retries:
-                    self._add(spec.name, given_up=1)
-                    future.set_exception(ExecutionFailedError(failures))
-                    return
-            except BaseException as error:  # whoever waits for the result has to know
-                future.set_exception(error)
-                return
-            else:
-                self._add(spec.name, executions=1)
-                future.set_result(execution)
-                return
+        self._add(spec.name, given_up=1)
+        raise ExecutionFailedError(failures)
 
     def _learn(self, lane: Lane, spec: EnvironmentSpec) -> None:
         """Build an environment for the first time, and learn how many copies there may be."""

@@ -116,7 +116,14 @@ class WrongTaskError(MenidError):
 
 
 # Not `-m`: a module that is also the main program would have all its classes twice.
-_PROGRAM = "from menid_plan.environments.worker import main; main()"
+# The path comes by arguments: PYTHONPATH would reach the programs that environments start, which may
+# be of another Python.
+_PROGRAM = """\
+import sys
+sys.path[:] = sys.argv[2:]
+from menid_plan.environments.worker import main
+main()
+"""
 
 
 class Worker:
@@ -125,12 +132,11 @@ class Worker:
     def __init__(self, specs: bytes) -> None:
         """``specs`` is a pickled mapping from names to EnvironmentSpecs."""
         # The worker finds modules where this process does.
-        path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
+        path = [entry or os.getcwd() for entry in sys.path]
         self._process = subprocess.Popen(  # noqa: S603 - our own program
-            [sys.executable, "-P", "-c", _PROGRAM, str(os.getpid())],
+            [sys.executable, "-P", "-c", _PROGRAM, str(os.getpid()), *path],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": path},
         )
         self._late = False
         with contextlib.suppress(OSError):  # the first request will tell
