@@ -4,6 +4,9 @@ Two outcomes need one integral of a Beta density. With three or four, the sum of
 distributed and the shares within a pair are again, so one integral is left. With more, the Dirichlet is
 a vector of gammas under the condition that they sum to 1 (Levin 1981 does so for the multinomial); the
 density of a sum of cut-off gammas is a convolution, read off its Fourier series.
+
+Up to four outcomes give seven digits or more; fractions below 1, whose densities bend at 0, and
+more outcomes give at least four.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ from menid_plan.learning.mixtures import Floats
 LEAST_EPSILON = 1e-7
 
 _NODES = 16
+_SHORTER = (0.3, 0.1, 0.01, 1e-3, 1e-5, 1e-8)
 _STEPS = (4.0, 10.0, 24.0)  # standard deviations from the mean at which panels end
 
 
@@ -70,12 +74,21 @@ class Errors:
         """Pr(max_i |p_i - q_i| <= d)."""
         if d >= self.most:
             return 1.0
+        if len(self.q) == 2:
+            return self._of_two(d)
         parts = self._parts(d)
         if len(parts) == 1:
             return 1.0
         if len(parts) <= 4:
             return _of_few(parts, self.negligible)
         return _of_many(parts, self.negligible)
+
+    def _of_two(self, d: float) -> float:
+        # The smaller probability is integrated over: numbers near 0 are exact, near 1 they are not.
+        (a, q), (b, _) = sorted(zip(self.alpha, self.q, strict=True))
+        edges = _edges(max(0.0, q - d), min(1.0, q + d), a, b, self.negligible)
+        nodes, weights = _panels(edges)
+        return float(weights @ _beta_density(nodes, a, b))
 
     def _parts(self, d: float) -> list[_Part]:
         """The outcomes, where those that cannot be off by d are one: their gammas add up to one."""
@@ -285,13 +298,11 @@ def _edges(
         return [mean, mean]
     inner = [mean, *bends]
     inner += [mean + sign * step * spread for step in _STEPS for sign in (-1.0, 1.0)]
-    # A power that is not whole bends at the end of its range: shorter and shorter panels there.
-    if low == 0.0 and a < 8.0 and a != int(a):
-        inner += [10.0**-power * min(high, spread) for power in (0.5, 1.0, 2.0, 3.0, 5.0, 8.0)]
-    if high == 1.0 and b < 8.0 and b != int(b):
-        inner += [
-            1.0 - 10.0**-power * min(1.0 - low, spread) for power in (0.5, 1.0, 2.0, 3.0, 5.0, 8.0)
-        ]
+    # A power that is not whole bends ever more towards 0, or 1: shorter and shorter panels there.
+    if low < spread and a < 8.0 and a != int(a):
+        inner += [scale * min(high, spread) for scale in _SHORTER]
+    if 1.0 - high < spread and b < 8.0 and b != int(b):
+        inner += [1.0 - scale * min(1.0 - low, spread) for scale in _SHORTER]
     # In a very short panel at 0 or 1 a node would be rounded to the end, where no density is.
     short = 1e-12 * (high - low)
     inside = sorted({x for x in inner if low + short < x < high - short})
