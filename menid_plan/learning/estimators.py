@@ -399,7 +399,7 @@ def _meant(name: str, known: Any) -> str:
 def _or_nothing(seen: _Seen, cap: float) -> Floats:
     """The parameters of components: first one that no test counts in, then one for each test."""
     sums = np.add.reduce(seen.tests, axis=1, keepdims=True)
-    shares = np.minimum(1.0, cap / sums) * seen.tests
+    shares = cap / np.maximum(sums, cap) * seen.tests
     return np.concatenate([seen.base[None, :], seen.base + shares])
 
 
