@@ -41,6 +41,7 @@ ALLOWED = {
         "grounding",
         "mdp",
         "solving",
+        "planning",
         "experience",
         "environments",
     },

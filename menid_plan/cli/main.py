@@ -27,6 +27,8 @@ _COMMANDS = {
     "solve": "Find the best policy, with bounds on its value.",
     "solvers": "List the installed solvers, and what each promises.",
     "study": "Run a study: a table, a figure, and what they show.",
+    "learn": "Learn how often outcomes happen, in several environments.",
+    "estimate": "Tell what counts say of each rule; write it into the domain.",
     "show": "Show what a file declares, each rule as a table.",
 }
 

@@ -126,7 +126,7 @@ class Store(StoreReader):
                 if version < schema.VERSION:
                     schema.migrate(connection, version)
             store = cls(path, connection, lock)
-            store._must_be_of(domain, problem)
+            store.must_be_of(domain, problem)
             opened.pop_all()
         return store
 
@@ -171,7 +171,7 @@ class Store(StoreReader):
     ) -> None:
         self.close()
 
-    def _must_be_of(self, domain: Domain | None, problem: Problem | None) -> None:
+    def must_be_of(self, domain: Domain | None, problem: Problem | None) -> None:
         """Refuse another domain or problem. Equal values are the same, however they are written."""
         for kind, given in (("domain", domain), ("problem", problem)):
             if given is None:

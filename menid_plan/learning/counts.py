@@ -13,7 +13,7 @@ from menid_plan.learning.estimators import Estimator
 from menid_plan.learning.mixtures import DirichletMixture
 from menid_plan.mdp.model import Floats
 from menid_plan.model.domain import Domain, Problem, param_values
-from menid_plan.model.expressions import EvaluationError, Number, evaluate
+from menid_plan.model.expressions import ZERO, EvaluationError, Expression, Number, evaluate
 from menid_plan.model.probabilities import fault
 from menid_plan.model.rules import Block, Rule
 
@@ -142,34 +142,61 @@ def learned_domain(evidence: Evidence, roles: Mapping[str, str] | None = None) -
     Each distribution that something is known of gets a `probabilities` block with the estimate for the
     target, and an `observed` block with the counts; ``roles`` are the roles that its environments get.
     """
-    target = evidence.environments[0]
+    domain = evidence.domain
     actions = []
-    for action in evidence.domain.actions:
-        rules = []
-        for rule in action.rules:
-            keys = [k for k in evidence.keys if (k.action, k.rule) == (action.name, rule.name)]
-            keys = [k for k in keys if evidence.counts(k).any()]
-            probabilities = _without(rule.probabilities, (target,), {k.values for k in keys})
-            observed = _without(rule.observed, evidence.environments, {k.values for k in keys})
-            names = [outcome.name for outcome in rule.outcomes]
-            for key in keys:
-                estimate = evidence.belief(key).estimate()
-                rows = tuple((n, (Number(float(p)),)) for n, p in zip(names, estimate, strict=True))
-                probabilities.append(Block((target,), key.values, rows))
-                counts = evidence.counts(key)
-                seen = tuple(
-                    (n, tuple(Number(float(c)) for c in counts[:, i])) for i, n in enumerate(names)
-                )
-                observed.append(Block(evidence.environments, key.values, seen))
-            rules.append(
-                replace(rule, probabilities=tuple(probabilities), observed=tuple(observed))
-            )
+    for action in domain.actions:
+        keys = [k for k in evidence.keys if k.action == action.name and evidence.counts(k).any()]
+        rules = (
+            _learned_rule(evidence, rule, [k for k in keys if k.rule == rule.name])
+            for rule in action.rules
+        )
         actions.append(replace(action, rules=tuple(rules)))
     environments = tuple(
         replace(e, role="target" if (roles or {}).get(e.name, e.role) == "target" else "test")
-        for e in evidence.domain.environments
+        for e in domain.environments
     )
-    return replace(evidence.domain, actions=tuple(actions), environments=environments)
+    return replace(domain, actions=tuple(actions), environments=environments)
+
+
+def _learned_rule(evidence: Evidence, rule: Rule, keys: Sequence[DistributionKey]) -> Rule:
+    """A rule with what was learned of its distributions."""
+    target = evidence.environments[0]
+    values = {key.values for key in keys}
+    probabilities = _without(rule.probabilities, (target,), values)
+    observed = _without(rule.observed, evidence.environments, values)
+    names = [outcome.name for outcome in rule.outcomes]
+    for key in keys:
+        estimate = [Number(float(p)) for p in evidence.belief(key).estimate()]
+        if not key.values and rule.has_column:
+            rule = _with_column(rule, target, estimate, evidence.domain)
+        else:
+            rows = tuple((name, (cell,)) for name, cell in zip(names, estimate, strict=True))
+            probabilities.append(Block((target,), key.values, rows))
+        counts = evidence.counts(key)
+        seen = tuple(
+            (name, tuple(Number(float(c)) for c in counts[:, i])) for i, name in enumerate(names)
+        )
+        observed.append(Block(evidence.environments, key.values, seen))
+    return replace(rule, probabilities=tuple(probabilities), observed=tuple(observed))
+
+
+def _with_column(
+    rule: Rule, environment: str, estimate: Sequence[Expression], domain: Domain
+) -> Rule:
+    """A rule whose outcome table has these cells in an environment's column."""
+    heads = rule.environments or tuple(e.name for e in domain.all_environments)
+    outcomes = []
+    for outcome, cell in zip(rule.outcomes, estimate, strict=True):
+        cells = list(outcome.cells) if rule.environments else list(outcome.cells) * len(heads)
+        cells = cells or [ZERO] * len(heads)  # a row without cells is one of zeros
+        if environment in heads:
+            cells[heads.index(environment)] = cell
+        else:
+            cells.append(cell)
+        outcomes.append(replace(outcome, cells=tuple(cells)))
+    if environment not in heads:
+        heads = (*heads, environment)
+    return replace(rule, environments=heads, outcomes=tuple(outcomes))
 
 
 def _without(

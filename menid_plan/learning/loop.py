@@ -6,7 +6,6 @@ beginning, for all its chances come from the seeds of the run, and reads the res
 
 from __future__ import annotations
 
-import hashlib
 import heapq
 import time
 from collections import Counter, defaultdict
@@ -19,6 +18,7 @@ from menid_plan.environments.interface import CannotResetError, EnvironmentFaile
 from menid_plan.environments.pool import ExecutionFuture, Failure, Pool
 from menid_plan.environments.registry import EnvironmentSpec
 from menid_plan.environments.runfile import Bound
+from menid_plan.environments.seeds import seed_of
 from menid_plan.environments.session import Session
 from menid_plan.errors import MenidError
 from menid_plan.experience.attribution import Attributor
@@ -73,13 +73,6 @@ class Point:
     episodes: int
     tests: int
     what: str
-
-
-def seed_of(run: int, *words: object) -> int:
-    """The seed of one execution, 0 <= seed < 2**53, from that of the run and what is executed."""
-    text = "\n".join(str(word) for word in (run, *words))
-    digest = hashlib.blake2b(text.encode("utf-8"), digest_size=8).digest()
-    return int.from_bytes(digest, "big") >> 11
 
 
 class Loop:
@@ -274,7 +267,7 @@ class Loop:
         stored = self._stored.get((spec.name, action, number))
         if stored is not None:
             return stored
-        seed = seed_of(self.settings.seed, spec.name, action, number)
+        seed = seed_of(self.settings.seed, spec.name, str(action), number)
         return self._pool.submit(spec.name, state, action, seed, number)
 
     def _execute(self, state: State, action: GroundAction) -> None:
@@ -394,6 +387,15 @@ class Loop:
         if self.settings.clock == "virtual":
             return self.progress.seconds
         return time.monotonic() - self._started + self._offset
+
+    def least_sure(self, number: int) -> list[tuple[DistributionKey, float]]:
+        """The distributions whose error in the target may be the largest, by the bound."""
+        settings = self.settings
+        bounds = [
+            (key, delta(self.evidence.counts(key)[0], settings.epsilon, "bonferroni"))
+            for key in self.evidence.keys
+        ]
+        return heapq.nlargest(number, bounds, key=lambda pair: pair[1])
 
     def _end_episode(self) -> None:
         if self._episode_step == 0:

@@ -60,6 +60,14 @@ class Planner:
         row = model.row(number, left)
         return None if row < 0 else model.action(row)
 
+    def best(self) -> tuple[GroundAction | None, float]:
+        """The best first action of the problem by the estimates, and the objective's value."""
+        model, number = self._model(frozenset(self.problem.init))
+        solution = model.solved(model.posterior.mean())
+        row = _row(solution, number, None)
+        middle = float(solution.lower[number] + solution.upper[number]) / 2
+        return (None if row < 0 else model.action(row)), middle
+
     def learned(self) -> None:
         """Beliefs have changed."""
         for model in self._models:
@@ -124,11 +132,12 @@ class _Model:
             self.stale = False
             return int(self._online.action(number))
         if self.stale or self._solution is None:
-            self._solution = self._solved(self.posterior.mean())
+            self._solution = self.solved(self.posterior.mean())
             self.stale = False
         return _row(self._solution, number, left)
 
-    def _solved(self, probabilities: Floats) -> Solution:
+    def solved(self, probabilities: Floats) -> Solution:
+        """The model with these probabilities, solved."""
         mdp = self.structure.fill(probabilities)
         start = None
         if self._solution is not None and mdp.horizon is None:
@@ -142,7 +151,7 @@ class _Model:
     def certainty(self, number: int, draws: int) -> float:
         """How often the most frequent first action is the best, over drawn models."""
         rows = [
-            _row(self._solved(self.posterior.sample(self.planner.rng)), number, None)
+            _row(self.solved(self.posterior.sample(self.planner.rng)), number, None)
             for _ in range(draws)
         ]
         return float(np.unique(rows, return_counts=True)[1].max() / draws)

@@ -1,0 +1,174 @@
+"""`menid estimate`: what counts say of each rule, and how sure that is."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from menid_plan.cli.common import checked, existing_file, json_option, opened, print_plain, table
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from menid_plan.experience.record import DistributionKey
+    from menid_plan.learning.counts import Evidence
+
+
+@click.command("estimate")
+@click.argument("domain_file", type=existing_file, metavar="DOMAIN")
+@click.argument("store", required=False, type=click.Path(exists=True, path_type=Path))
+@click.option("--estimator", "name", default="decreasing-m", show_default=True, metavar="NAME",
+              help="How counts of several environments are merged.")  # fmt: skip
+@click.option("--m", type=click.FloatRange(0), help="The weight m of decreasing-m.")
+@click.option("--prior-weight", type=click.FloatRange(0), default=0.0, show_default=True,
+              help="How many executions the domain's own probabilities are worth.")  # fmt: skip
+@click.option("--epsilon", type=click.FloatRange(0, 1, min_open=True, max_open=True),
+              default=0.05, show_default=True,
+              help="The probability that an error is larger than its bound.")  # fmt: skip
+@click.option("--compare", is_flag=True, help="Show the estimates of all estimators.")
+@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path),
+              help="Write the domain there, with the estimates and the counts.")  # fmt: skip
+@json_option
+def command(
+    domain_file: str,
+    store: Path | None,
+    name: str,
+    m: float | None,
+    prior_weight: float,
+    epsilon: float,
+    compare: bool,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """Tell what counts say of each rule: those of a store, or of the `observed` blocks of the domain.
+
+    STORE is the file of a run, or its folder. The counts of a store are added to those of the domain.
+    """
+    evidence, roles = _evidence(domain_file, store, name, m, prior_weight)
+    rules = [_described(evidence, key, epsilon) for key in evidence.keys]
+    if compare:
+        for each, key in zip(rules, evidence.keys, strict=True):
+            each["estimators"] = _compared(evidence, key)
+    if output is not None:
+        from menid_plan.language.write import write
+        from menid_plan.learning.counts import learned_domain
+
+        with opened(output) as stream:
+            stream.write(write(learned_domain(evidence, roles)))
+    if as_json:
+        environments = list(evidence.environments)
+        click.echo(json.dumps({"environments": environments, "rules": rules}, indent=2))
+    elif rules:
+        _show(evidence, rules)
+    else:
+        click.echo("nothing was observed", err=True)
+
+
+def _evidence(
+    domain_file: str, store: Path | None, name: str, m: float | None, prior_weight: float
+) -> tuple[Evidence, dict[str, str]]:
+    """The evidence of a domain and a store, and the roles of the environments."""
+    from menid_plan.experience.store import Store
+    from menid_plan.learning.counts import Evidence
+    from menid_plan.learning.estimators import estimator
+    from menid_plan.learning.run import STORE
+    from menid_plan.model.domain import Problem
+
+    domain = next((r.domain for r in checked([domain_file]) if r.domain is not None), None)
+    if domain is None:
+        raise click.UsageError(f"`{domain_file}` holds no domain")
+    made = estimator(name, **({} if m is None else {"m": m}))
+    roles = {e.name: str(e.role) for e in domain.all_environments}
+    if store is None:
+        problem = Problem("none", domain.name)
+        names = sorted(roles, key=lambda each: roles[each] != "target")
+        return Evidence(domain, problem, names, made, prior_weight), roles
+    path = store / STORE if store.is_dir() else store
+    with Store.read(path) as opened_store:
+        roles = dict(opened_store.roles)
+        # A run may give environments other roles than the domain does.
+        environments = tuple(
+            replace(e, role="target" if roles.get(e.name) == "target" else "test")
+            for e in domain.all_environments
+        )
+        domain = replace(domain, environments=environments)
+        opened_store.must_be_of(domain, None)
+        names = sorted(roles, key=lambda each: roles[each] != "target")
+        evidence = Evidence(domain, opened_store.problem, names, made, prior_weight)
+        for (environment, key), weights in opened_store.counts().items():
+            evidence.add(environment, key, weights)
+    return evidence, roles
+
+
+def _described(evidence: Evidence, key: DistributionKey, epsilon: float) -> dict[str, Any]:
+    """All that is known of a distribution, for JSON."""
+    from menid_plan.learning.confidence import delta
+    from menid_plan.learning.counts import agreement
+
+    counts = evidence.counts(key)
+    rows = dict(zip(evidence.environments, counts, strict=True))
+    target = counts[0]
+    return {
+        "action": key.action,
+        "rule": key.rule,
+        "for": list(key.values),
+        "outcomes": [outcome.name for outcome in evidence.rule(key).outcomes],
+        "counts": {name: row.tolist() for name, row in rows.items()},
+        "delta": {name: delta(row, epsilon) for name, row in rows.items()},
+        "agreement": {
+            name: agreement(target, row)
+            for name, row in rows.items()
+            if name != evidence.environments[0]
+        },
+        "estimate": evidence.belief(key).estimate().tolist(),
+    }
+
+
+def _compared(evidence: Evidence, key: DistributionKey) -> dict[str, list[float]]:
+    from menid_plan.learning.estimators import ESTIMATORS
+
+    return {
+        name: kind().posterior(evidence.counts(key)).estimate().tolist()
+        for name, kind in ESTIMATORS.items()
+    }
+
+
+def _show(evidence: Evidence, rules: list[dict[str, Any]]) -> None:
+    """A table for each rule: outcomes by environments, then how sure they are."""
+    from rich.console import Console
+
+    console = Console(highlight=False, markup=False)
+    for each in rules:
+        per = f" for {', '.join(each['for'])}" if each["for"] else ""
+        click.echo(f"{each['action']}.{each['rule']}{per}")
+        grid = table(console)
+        grid.add_column("")
+        for name in (*evidence.environments, "estimate"):
+            grid.add_column(name, justify="right")
+        for i, outcome in enumerate(each["outcomes"]):
+            cells = [f"{each['counts'][name][i]:g}" for name in evidence.environments]
+            cells.append(f"{each['estimate'][i]:.4f}")
+            grid.add_row(outcome, *cells)
+        grid.add_row("delta", *(f"{each['delta'][name]:.4f}" for name in evidence.environments))
+        grid.add_row("agrees", "", *(f"{p:.2f}" for p in each["agreement"].values()))
+        with print_plain(console, sys.stdout):
+            console.print(grid)
+            if "estimators" in each:
+                console.print(_comparison(console, each))
+        click.echo()
+
+
+def _comparison(console: Console, each: dict[str, Any]) -> Table:
+    """The estimates of all estimators, a line for each."""
+    grid = table(console)
+    for name in ("", *each["outcomes"]):
+        grid.add_column(name, justify="right" if name else "left")
+    for name, found in each["estimators"].items():
+        grid.add_row(name, *(f"{p:.4f}" for p in found))
+    return grid
