@@ -62,9 +62,10 @@ class Tables:
 
     Entries (of cubes and counts): ``entry_word`` int32, ``entry_mask`` and ``entry_value`` uint64.
     Operations of the program, each of which sets one bit: ``op_kind`` uint8 (0: all entries match, 1:
-    so many bits match, 2: at least so many, 3: all match, and what follows is worth another pass),
+    so many bits match, 2: at least so many),
     ``op_number``, ``op_entries`` (offsets), ``op_word``, ``op_bit``. Segments of it:
-    ``segment_ops`` (offsets), ``segment_loops`` uint8 (repeat until nothing changes).
+    ``segment_ops`` (offsets), ``segment_loops`` uint8 (repeat until nothing changes), and in those
+    ``op_users`` (offsets into ``user``): the operations of the segment that look at an operation's bit.
     Rules: ``rule_entries``, ``rule_outcomes`` (offsets), ``rule_action``. Outcomes:
     ``outcome_slot``, ``outcome_noise`` uint8, ``outcome_delete`` and ``outcome_add`` (uint64[., W],
     what it does unconditionally), ``outcome_effects`` (offsets, of the others). Conditional effects:
@@ -87,6 +88,8 @@ class Tables:
     op_bit: NDArray[np.uint64]
     segment_ops: NDArray[np.int32]
     segment_loops: NDArray[np.uint8]
+    op_users: NDArray[np.int32]
+    user: NDArray[np.int32]
     rule_entries: NDArray[np.int32]
     rule_outcomes: NDArray[np.int32]
     rule_action: NDArray[np.int32]
@@ -373,23 +376,31 @@ class _Builder:
     def _fill_program(self, groups: list[list[int]], table: _Columns) -> None:
         table.start("op_entries", len(self.entries))
         table.start("segment_ops", 0)
-        ops = 0
+        table.start("op_users", 0)
+        ops = users = 0
         for group in groups:
-            loops = False
-            for number in group:
+            loops = any(self.circuit.nodes[number].kind == "derived" for number in group)
+            used_by: dict[int, list[int]] = {number: [] for number in group}
+            for place, number in enumerate(group):
                 node = self.circuit.nodes[number]
+                literals = list(node.operands)
                 if node.kind == "derived":
                     literals = self._literals(self.circuit.definitions[number])
-                    loops = True
-                else:
-                    literals = list(node.operands)
-                kind = {"derived": 3, "count": 1 if node.comparison == "=" else 2}.get(node.kind, 0)
+                for below in {literal >> 1 for literal in literals} if loops else ():
+                    if below in used_by:
+                        used_by[below].append(ops + place)
+                kind = 0 if node.kind != "count" else 1 if node.comparison == "=" else 2
                 word, bit = divmod(self._bits[number], WORD)
                 table.add(
                     op_kind=kind, op_number=node.number, op_entries=self._cube(literals),
                     op_word=word, op_bit=1 << bit,
                 )  # fmt: skip
-                ops += 1
+            for number in group:
+                for user in used_by[number]:
+                    table.add(user=user)
+                users += len(used_by[number])
+                table.add(op_users=users)
+            ops += len(group)
             # One long run of operations that need no repeating is one segment.
             if not loops and table.last("segment_loops") == 0:
                 table.drop("segment_ops", "segment_loops")

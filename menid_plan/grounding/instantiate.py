@@ -323,6 +323,7 @@ class Instantiation:
                         covered = self.circuit.disjunction([other.condition for other in others])
                         found = [*others, self._covering(ground, rule, binding, covered ^ 1)]
                 yield from (rule for rule in found if rule.condition != FALSE)
+        self._define_pending()  # of conditions that came to nothing
 
     def _instances(self, action: Action) -> Iterator[tuple[GroundAction, dict[str, str]]]:
         """The objects that an action may be for: those that what never changes allows some rule."""

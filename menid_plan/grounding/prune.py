@@ -62,22 +62,27 @@ class _Reachability:
     ) -> None:
         self.circuit = circuit
         self.may = [0] * len(circuit.nodes)
-        self.may[0] = _MAY_BE_FALSE
-        self._users: list[list[int]] = [[] for _ in circuit.nodes]
+        # Nodes above a node, and whether they look at its negation.
+        self._users: list[list[tuple[int, int]]] = [[] for _ in circuit.nodes]
+        # How many operands may be true, how many may be false, and how many are surely true.
+        self._can_be_true = [0] * len(circuit.nodes)
+        self._can_be_false = [0] * len(circuit.nodes)
+        self._is_true = [0] * len(circuit.nodes)
         self._watchers: list[list[int]] = [[] for _ in circuit.nodes]
         self._rules = rules
         facts: dict[GroundAtom, int] = {}
-        queue: list[int] = []
-        for number, node in enumerate(circuit.nodes):
+        for number in range(len(circuit.nodes)):
             for operand in circuit.operands(number):
-                self._users[operand >> 1].append(number)
-            if node.kind == "fact" and node.atom is not None:
-                facts[node.atom] = number
-                self.may[number] = _MAY_BE_TRUE if node.atom in init else _MAY_BE_FALSE
+                self._users[operand >> 1].append((number, operand & 1))
         for index, rule in enumerate(rules):
             for signal in {rule.condition, *(e.condition for o in rule.effects for e in o)}:
                 self._watchers[signal >> 1].append(index)
         self._facts = facts
+        self._set(0, _MAY_BE_FALSE)
+        for number, node in enumerate(circuit.nodes):
+            if node.kind == "fact" and node.atom is not None:
+                facts[node.atom] = number
+                self._set(number, _MAY_BE_TRUE if node.atom in init else _MAY_BE_FALSE)
         self._settle([*range(len(circuit.nodes))])
         queue = list(range(len(rules)))
         while queue:
@@ -89,8 +94,17 @@ class _Reachability:
         return bool(self._may(signal) & _MAY_BE_TRUE)
 
     def _may(self, signal: Signal) -> int:
-        may = self.may[signal >> 1]
-        return ((may & 1) << 1 | may >> 1) if signal & 1 else may
+        return _signed(self.may[signal >> 1], signal & 1)
+
+    def _set(self, number: int, new: int) -> None:
+        """Change what a node may be, and what is known of the operands of the nodes above."""
+        old = self.may[number]
+        self.may[number] = new
+        for user, negated in self._users[number]:
+            before, after = _signed(old, negated), _signed(new, negated)
+            self._can_be_true[user] += (after & 1) - (before & 1)
+            self._can_be_false[user] += (after >> 1) - (before >> 1)
+            self._is_true[user] += (after == _MAY_BE_TRUE) - (before == _MAY_BE_TRUE)
 
     def _settle(self, changed: Iterable[int]) -> set[int]:
         """Carry changes to the nodes above; the rules that look at any that changed."""
@@ -104,24 +118,21 @@ class _Reachability:
             number = stack.pop()
             new = self.may[number] | self._evaluate(number)
             if new != self.may[number]:
-                self.may[number] = new
+                self._set(number, new)
                 seen.update(self._watchers[number])
-                stack.extend(self._users[number])
+                stack.extend(user for user, _ in self._users[number])
             elif self.circuit.nodes[number].kind == "fact":
-                stack.extend(self._users[number])
+                stack.extend(user for user, _ in self._users[number])
         return seen
 
     def _evaluate(self, number: int) -> int:
         node = self.circuit.nodes[number]
         if node.kind == "all":
-            found = [self._may(operand) for operand in node.operands]
-            true = all(may & _MAY_BE_TRUE for may in found)
-            false = any(may & _MAY_BE_FALSE for may in found)
+            true = self._can_be_true[number] == len(node.operands)
+            false = self._can_be_false[number] > 0
             return true * _MAY_BE_TRUE | false * _MAY_BE_FALSE
         if node.kind == "count":
-            found = [self._may(operand) for operand in node.operands]
-            most = sum(bool(may & _MAY_BE_TRUE) for may in found)
-            least = sum(may == _MAY_BE_TRUE for may in found)
+            most, least = self._can_be_true[number], self._is_true[number]
             if node.comparison == "=":
                 true = least <= node.number <= most
                 false = not least == most == node.number
@@ -145,9 +156,14 @@ class _Reachability:
                         for atom in atoms:
                             number = self._facts[atom]
                             if not self.may[number] & bit:
-                                self.may[number] |= bit
+                                self._set(number, self.may[number] | bit)
                                 changed.append(number)
         return changed
+
+
+def _signed(may: int, negated: int) -> int:
+    """What the negation of a node may be, or the node itself."""
+    return ((may & 1) << 1 | may >> 1) if negated else may
 
 
 class _Rebuilt:

@@ -84,6 +84,27 @@ class Evidence:
             self._beliefs[key] = found
         return found
 
+    def knows(self, key: DistributionKey) -> bool:
+        """Whether anything that was seen bears on the target, as the estimator has it."""
+        counts = self.counts(key)
+        if not counts.any():
+            return False
+        prior = self._prior(key)
+        before = self.estimator.posterior(np.zeros_like(counts), prior)
+        after = self.belief(key)
+        return not (
+            np.array_equal(before.parameters, after.parameters)
+            and np.array_equal(before.weights, after.weights)
+        )
+
+    def answer(self, key: DistributionKey) -> Floats:
+        """The estimate for the target; where nothing is known, what the domain gives, if it does."""
+        if not self.knows(key):
+            given = self.given(key, self.environments[0])
+            if given is not None:
+                return given
+        return self.belief(key).estimate()
+
     def _prior(self, key: DistributionKey) -> Floats | None:
         if self.prior_weight <= 0.0:
             return None
@@ -112,6 +133,10 @@ class SlotBelief:
     def mean(self) -> Floats:
         """The estimator's answer for every slot."""
         return self._joined([self.evidence.belief(key).estimate() for key in self.keys])
+
+    def learned(self) -> Floats:
+        """The estimator's answer where something is known, else what the domain gives for the target."""
+        return self._joined([self.evidence.answer(key) for key in self.keys])
 
     def sample(self, rng: np.random.Generator) -> Floats:
         """Probabilities of every slot, drawn from what is believed."""

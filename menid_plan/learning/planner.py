@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -12,7 +13,7 @@ from menid_plan.grounding.ground import GroundProblem, ground
 from menid_plan.grounding.state import GroundAction, State
 from menid_plan.learning.counts import Evidence, SlotBelief
 from menid_plan.mdp.explore import MAX_STATES, Structure, explore
-from menid_plan.mdp.model import Floats
+from menid_plan.mdp.model import MDP, Floats, Ints
 from menid_plan.model.domain import Domain, Problem
 from menid_plan.solving import (
     Belief,
@@ -23,6 +24,9 @@ from menid_plan.solving import (
     Solver,
     load_solver,
 )
+
+# Models that are kept, the problem's own and those of states that it does not contain.
+MAX_MODELS = 8
 
 
 class Planner:
@@ -55,30 +59,48 @@ class Planner:
         self._models: list[_Model] = []
 
     def decide(self, state: State, left: int | None = None) -> GroundAction | None:
-        """The action to take in a state, with so many steps left if there is a horizon."""
+        """The action to take in a state, with so many steps left if there is a horizon.
+
+        None where the solver knows none: at the end of an episode, or where the objective asks for
+        what no action can do.
+        """
         model, number = self._model(state)
         row = model.row(number, left)
         return None if row < 0 else model.action(row)
 
     def best(self) -> tuple[GroundAction | None, float]:
-        """The best first action of the problem by the estimates, and the objective's value."""
+        """The best first action of the problem, and the objective's value, by what was learned.
+
+        Where nothing was seen, what the domain gives counts; see `learned_domain`.
+        """
         model, number = self._model(frozenset(self.problem.init))
-        solution = model.solved(model.posterior.mean())
+        solution = model.solved(model.posterior.learned())
         row = _row(solution, number, None)
-        middle = float(solution.lower[number] + solution.upper[number]) / 2
-        return (None if row < 0 else model.action(row)), middle
+        return (None if row < 0 else model.action(row)), solution.value
 
     def learned(self) -> None:
         """Beliefs have changed."""
         for model in self._models:
             model.stale = True
 
-    def certainty(self, state: State, draws: int) -> float:
-        """How often the first action is the most frequent one, if so many models are drawn."""
+    def certainty(self, state: State, left: int | None, draws: int) -> float:
+        """How often the action that is best most often is the best, in so many drawn models."""
         model, number = self._model(state)
-        return model.certainty(number, draws)
+        return model.certainty(number, left, draws)
+
+    def is_hopeless(self, state: State, left: int | None = None) -> bool:
+        """Whether nothing counts any more: the objective is about a goal that is out of reach.
+
+        That is so if no outcomes at all lead there in the steps that are left.
+        """
+        if self.objective == "reward":
+            return False
+        model, number = self._model(state)
+        distance = int(model.goal_distance[number])
+        return distance < 0 or (left is not None and distance > left)
 
     def _model(self, state: State) -> tuple[_Model, int]:
+        """A model that contains a state, and the state's number in it."""
         for model in self._models:
             number = model.number(state)
             if number is not None:
@@ -88,8 +110,10 @@ class Planner:
             problem = replace(problem, init=tuple(sorted(state)))
         compiled = ground(self.domain, problem, self.params)
         structure = explore(compiled, max_states=self.max_states)
+        if len(self._models) == MAX_MODELS:
+            del self._models[1]  # the oldest of those that are not the problem's own
         self._models.append(_Model(self, compiled, structure))
-        return self._model(state)
+        return self._models[-1], 0
 
 
 class _Model:
@@ -100,6 +124,7 @@ class _Model:
         self.structure = structure
         self.posterior = SlotBelief(planner.evidence, compiled)
         self.stale = True
+        self._left: int | None = None
         self._online: OnlinePolicy | None = None
         self._solution: Solution | None = None
         self._numbers = {
@@ -122,23 +147,36 @@ class _Model:
 
     def row(self, number: int, left: int | None) -> int:
         """The row to take in a state."""
-        solver = self.planner.solver
-        if hasattr(solver, "policy"):
-            if self._online is None:
-                belief = Belief(self.structure.fill, self.posterior, self.planner.objective)
-                self._online = solver.policy(belief, self.planner.rng)
-            if self.stale and hasattr(self._online, "learned"):
-                self._online.learned()
-            self.stale = False
-            return int(self._online.action(number))
+        if hasattr(self.planner.solver, "policy"):
+            return self._asked(number, left)
         if self.stale or self._solution is None:
             self._solution = self.solved(self.posterior.mean())
             self.stale = False
+        if left is not None and self._solution.steps is None:  # it would have been too large
+            return _row(self.solved(self.posterior.mean(), left), number, left)
         return _row(self._solution, number, left)
 
-    def solved(self, probabilities: Floats) -> Solution:
-        """The model with these probabilities, solved."""
+    def _asked(self, number: int, left: int | None) -> int:
+        """The row that an online solver takes. It is asked about the steps that are left."""
+        if self._online is None:
+            belief = Belief(self._fill, self.posterior, self.planner.objective)
+            self._online = cast("OnlineSolver", self.planner.solver).policy(
+                belief, self.planner.rng
+            )
+        if (self.stale or left != self._left) and hasattr(self._online, "learned"):
+            self._online.learned()
+        self.stale, self._left = False, left
+        return int(self._online.action(number))
+
+    def _fill(self, probabilities: Floats) -> MDP:
         mdp = self.structure.fill(probabilities)
+        return mdp if self._left is None else replace(mdp, horizon=self._left)
+
+    def solved(self, probabilities: Floats, left: int | None = None) -> Solution:
+        """The model with these probabilities solved, for its horizon or the steps that are left."""
+        mdp = self.structure.fill(probabilities)
+        if left is not None:
+            mdp = replace(mdp, horizon=left)
         start = None
         if self._solution is not None and mdp.horizon is None:
             middle = (self._solution.lower + self._solution.upper) / 2
@@ -148,13 +186,29 @@ class _Model:
             solver = load_solver("value-iteration")()
         return cast("Solver", solver).solve(mdp, self.planner.objective, start=start)
 
-    def certainty(self, number: int, draws: int) -> float:
-        """How often the most frequent first action is the best, over drawn models."""
+    def certainty(self, number: int, left: int | None, draws: int) -> float:
+        """How often the most frequent action is the best, over drawn models."""
         rows = [
-            _row(self.solved(self.posterior.sample(self.planner.rng)), number, None)
+            _row(self.solved(self.posterior.sample(self.planner.rng), left), number, left)
             for _ in range(draws)
         ]
         return float(np.unique(rows, return_counts=True)[1].max() / draws)
+
+    @cached_property
+    def goal_distance(self) -> Ints:
+        """The least number of steps to a goal (int64[n]), whatever outcomes it takes; -1: no way."""
+        structure = self.structure
+        row_state = np.repeat(np.arange(structure.states), np.diff(structure.state_row))
+        origin = np.repeat(row_state, np.diff(structure.row_transition))
+        distance = np.where(structure.goal, 0, -1)
+        steps = 0
+        while True:
+            near = origin[distance[structure.next_state] >= 0]
+            near = near[distance[near] < 0]
+            if len(near) == 0:
+                return distance
+            steps += 1
+            distance[near] = steps
 
 
 def _row(solution: Solution, number: int, left: int | None) -> int:

@@ -38,45 +38,73 @@ def count_bits(extended: Any, begin: int, end: int, word: Any, mask: Any, value:
     """How many of the bits that some entries look at are as they say."""
     total = 0
     for entry in range(begin, end):
-        bits = ~(extended[word[entry]] ^ value[entry]) & mask[entry]
-        while bits:
-            bits &= bits - np.uint64(1)
-            total += 1
+        total += int(ones(~(extended[word[entry]] ^ value[entry]) & mask[entry]))
     return total
+
+
+@kernel(inline=True)
+def evaluate(
+    op: int, extended: Any, word: Any, mask: Any, value: Any, op_kind: Any, op_number: Any,
+    op_entries: Any, op_word: Any, op_bit: Any,
+) -> bool:  # fmt: skip
+    """Compute the bit of an operation; whether it changed."""
+    begin, end = op_entries[op], op_entries[op + 1]
+    if op_kind[op] == 0:  # without branches: nothing about a state can be foretold
+        wrong = np.uint64(0)
+        for entry in range(begin, end):
+            wrong |= (extended[word[entry]] & mask[entry]) ^ value[entry]
+        holds = wrong == 0
+    else:
+        found = count_bits(extended, begin, end, word, mask, value)
+        holds = found == op_number[op] or (op_kind[op] == 2 and found > op_number[op])
+    at = op_word[op]
+    before = extended[at]
+    extended[at] = (before & ~op_bit[op]) | (op_bit[op] * np.uint64(holds))
+    return bool(extended[at] != before)
 
 
 @kernel()
 def extend(
     extended: Any, words: int, word: Any, mask: Any, value: Any, op_kind: Any, op_number: Any,
     op_entries: Any, op_word: Any, op_bit: Any, segment_ops: Any, segment_loops: Any,
+    op_users: Any, user: Any, queue: Any, queued: Any,
 ) -> None:  # fmt: skip
-    """Compute the bits behind a state's own, segment by segment."""
+    """Compute the bits behind a state's own, segment by segment.
+
+    In a segment that loops, operations whose inputs changed are computed again, first come first
+    served. ``queue`` and ``queued`` have room for all operations; the latter is 0 before and after.
+    """
     for i in range(words, len(extended)):
         extended[i] = 0
     for segment in range(len(segment_loops)):
-        changed = np.uint64(1)
-        while changed:
-            changed = np.uint64(0)
-            for op in range(segment_ops[segment], segment_ops[segment + 1]):
-                begin, end = op_entries[op], op_entries[op + 1]
-                kind = op_kind[op]
-                if (
-                    kind == 0 or kind == 3
-                ):  # without branches: nothing about a state can be foretold
-                    wrong = np.uint64(0)
-                    for entry in range(begin, end):
-                        wrong |= (extended[word[entry]] & mask[entry]) ^ value[entry]
-                    holds = wrong == 0
-                else:
-                    found = count_bits(extended, begin, end, word, mask, value)
-                    holds = found == op_number[op] or (kind == 2 and found > op_number[op])
-                at = op_word[op]
-                before = extended[at]
-                bit = op_bit[op]
-                extended[at] = (before & ~bit) | (bit * np.uint64(holds))
-                if kind == 3:
-                    changed |= extended[at] ^ before
-            changed *= np.uint64(segment_loops[segment])
+        first, last = segment_ops[segment], segment_ops[segment + 1]
+        if segment_loops[segment] == 0:
+            for op in range(first, last):
+                evaluate(
+                    op, extended, word, mask, value, op_kind, op_number, op_entries, op_word,
+                    op_bit,
+                )  # fmt: skip
+            continue
+        head, waiting, turn = 0, 0, first
+        while turn < last or waiting > 0:
+            if turn < last:
+                op = turn
+                turn += 1
+            else:
+                op = queue[head]
+                head = head + 1 if head + 1 < len(queue) else 0
+                waiting -= 1
+                queued[op] = 0
+            if evaluate(
+                op, extended, word, mask, value, op_kind, op_number, op_entries, op_word, op_bit
+            ):
+                for k in range(op_users[op], op_users[op + 1]):
+                    other = user[k]
+                    if other < turn and queued[other] == 0:  # the others come anyway
+                        queued[other] = 1
+                        tail = head + waiting
+                        queue[tail if tail < len(queue) else tail - len(queue)] = other
+                        waiting += 1
 
 
 @kernel(inline=True)
@@ -90,6 +118,36 @@ def apply(
         for change in range(effect_changes[effect], effect_changes[effect + 1]):
             delete[change_word[change]] |= change_delete[change]
             add[change_word[change]] |= change_add[change]
+
+
+@kernel()
+def collect(
+    outcome: int, words: int, extended: Any, word: Any, mask: Any, value: Any, outcome_delete: Any,
+    outcome_add: Any, effect_entries: Any, effect_changes: Any, change_word: Any,
+    change_delete: Any, change_add: Any, effect_mask: Any, effect_group: Any, effect_first: Any,
+    effect_item: Any, effect_always: Any, effect_always_first: Any, delete: Any, add: Any,
+) -> None:  # fmt: skip
+    """What an outcome deletes and adds in a state, by its conditional effects too."""
+    for i in range(words):
+        delete[i] = outcome_delete[outcome, i]
+        add[i] = outcome_add[outcome, i]
+    for i in range(effect_always_first[outcome], effect_always_first[outcome + 1]):
+        apply(
+            effect_always[i], extended, word, mask, value, effect_entries, effect_changes,
+            change_word, change_delete, change_add, delete, add,
+        )  # fmt: skip
+    for w in range(len(extended)):
+        watched = effect_mask[outcome, w]
+        bits = extended[w] & watched
+        while bits:
+            lowest = bits & (~bits + np.uint64(1))
+            bits ^= lowest
+            group = effect_group[outcome, w] + np.int64(ones(watched & (lowest - np.uint64(1))))
+            for i in range(effect_first[group], effect_first[group + 1]):
+                apply(
+                    effect_item[i], extended, word, mask, value, effect_entries, effect_changes,
+                    change_word, change_delete, change_add, delete, add,
+                )  # fmt: skip
 
 
 @kernel(inline=True)
@@ -172,19 +230,21 @@ def put_numbers(count: int, found_state: Any, number: Any, next_state: Any) -> N
 
 @kernel(
     "i8(i8, i4[::1], u8[::1], u8[::1], u1[::1], i4[::1], i4[::1], i4[::1], u8[::1], i4[::1],"
-    " u1[::1], i4[::1], i4[::1], i4[::1], i4[::1], u1[::1], u8[:, ::1], u8[:, ::1], i4[::1],"
+    " u1[::1], i4[::1], i4[::1], i4[::1], i4[::1], i4[::1], i4[::1], u1[::1], u8[:, ::1],"
+    " u8[:, ::1], i4[::1],"
     " i4[::1], i4[::1], i4[::1], u8[::1], u8[::1], i4[::1], f8[::1], i4[::1],"
     " u8[:, ::1], i4[:, ::1], i4[::1], i4[::1], i4[::1], i4[::1],"
     " u8[:, ::1], i4[:, ::1], i4[::1], i4[::1], i4[::1], i4[::1],"
     " u1[::1], b1, i4[::1], u8[:, ::1], i8, i8, i8,"
     " i8[::1], i8[::1], b1[::1], f8[::1], i4[::1], i8[::1], i4[::1], i4[::1], u8[:, ::1],"
-    " i8[::1], u8[::1], u8[::1], u8[::1], u8[::1], u8[::1])"
+    " i8[::1], u8[::1], u8[::1], u8[::1], u8[::1], u8[::1], i4[::1], u1[::1])"
 )
 def expand(
     # What is known of the problem (see grounding.ground.Tables).
     words: int, word: Any, mask: Any, value: Any, op_kind: Any,
     op_number: Any, op_entries: Any, op_word: Any, op_bit: Any, segment_ops: Any,
-    segment_loops: Any, rule_entries: Any, rule_outcomes: Any, rule_action: Any,
+    segment_loops: Any, op_users: Any, user: Any,
+    rule_entries: Any, rule_outcomes: Any, rule_action: Any,
     outcome_slot: Any, outcome_noise: Any, outcome_delete: Any, outcome_add: Any,
     outcome_effects: Any, effect_entries: Any,
     effect_changes: Any, change_word: Any, change_delete: Any, change_add: Any,
@@ -199,8 +259,9 @@ def expand(
     # What is found: counts = [next state to expand, rows, transitions, new states, all states].
     counts: Any, state_row: Any, goal: Any, state_reward: Any,
     row_rule: Any, row_transition: Any, next_state: Any, slot: Any, new: Any, clash: Any,
-    # Room to work in: the extended words, a bit for each rule, and three times words.
-    extended: Any, due: Any, successor: Any, delete: Any, add: Any,
+    # Room to work in: the extended words, a bit for each rule, three times words, and twice as many
+    # as there are operations.
+    extended: Any, due: Any, successor: Any, delete: Any, add: Any, queue: Any, queued: Any,
 ) -> int:  # fmt: skip
     """Expand the states from counts[0] to last, as far as there are and have room; says why it stopped.
 
@@ -230,7 +291,7 @@ def expand(
             extended[i] = states[state, i]
         extend(
             extended, words, word, mask, value, op_kind, op_number, op_entries, op_word, op_bit,
-            segment_ops, segment_loops,
+            segment_ops, segment_loops, op_users, user, queue, queued,
         )  # fmt: skip
         paid = 0.0
         for i in range(len(reward_value)):
@@ -283,37 +344,23 @@ def expand(
                         if noise_to_sink:
                             number = SINK_STATE
                     else:
-                        for i in range(words):
-                            delete[i] = outcome_delete[outcome, i]
-                            add[i] = outcome_add[outcome, i]
-                        if outcome_effects[outcome] < outcome_effects[outcome + 1]:
-                            for i in range(
-                                effect_always_first[outcome], effect_always_first[outcome + 1]
-                            ):
-                                apply(
-                                    effect_always[i], extended, word, mask, value, effect_entries,
-                                    effect_changes, change_word, change_delete, change_add,
-                                    delete, add,
-                                )  # fmt: skip
-                            for w in range(len(extended)):
-                                watched = effect_mask[outcome, w]
-                                bits = extended[w] & watched
-                                while bits:
-                                    lowest = bits & (~bits + np.uint64(1))
-                                    bits ^= lowest
-                                    group = effect_group[outcome, w] + np.int64(
-                                        ones(watched & (lowest - np.uint64(1)))
-                                    )
-                                    for i in range(effect_first[group], effect_first[group + 1]):
-                                        apply(
-                                            effect_item[i], extended, word, mask, value,
-                                            effect_entries, effect_changes, change_word,
-                                            change_delete, change_add, delete, add,
-                                        )  # fmt: skip
                         moved = False
-                        for i in range(words):
-                            successor[i] = (extended[i] & ~delete[i]) | add[i]
-                            moved |= successor[i] != extended[i]
+                        if outcome_effects[outcome] == outcome_effects[outcome + 1]:
+                            for i in range(words):
+                                successor[i] = (
+                                    extended[i] & ~outcome_delete[outcome, i]
+                                ) | outcome_add[outcome, i]
+                                moved |= successor[i] != extended[i]
+                        else:
+                            collect(
+                                outcome, words, extended, word, mask, value, outcome_delete,
+                                outcome_add, effect_entries, effect_changes, change_word,
+                                change_delete, change_add, effect_mask, effect_group, effect_first,
+                                effect_item, effect_always, effect_always_first, delete, add,
+                            )  # fmt: skip
+                            for i in range(words):
+                                successor[i] = (extended[i] & ~delete[i]) | add[i]
+                                moved |= successor[i] != extended[i]
                         if moved:
                             place = place_of(table, states, successor, words)
                             number = int(table[place])

@@ -129,14 +129,15 @@ class Search:
             kernel.rehash(self.table, self.words, self.found)
 
     def _grow(self, needed: int, *names: str) -> None:
-        """Make arrays longer by half, or as long as needed, if there is memory for them all."""
+        """Make arrays longer by a third, or as long as needed, if there is memory for them all."""
         arrays = [getattr(self, name) for name in names]
-        if needed + 1 <= len(arrays[0]):
+        before = len(arrays[0])
+        if needed + 1 <= before:
             return
-        length = max(needed + 1, len(arrays[0]) + len(arrays[0]) // 2)
-        demand(float(sum(length * a.itemsize * (a.size // len(a)) for a in arrays)), self._so_far)
-        for name, array in zip(names, arrays, strict=True):
-            setattr(self, name, of_length(array, length + len(array) - len(arrays[0])))
+        more = max(needed + 1 - before, before // 3)
+        demand(float(sum(more * a.itemsize * (a.size // len(a)) for a in arrays)), self._so_far)
+        for array in arrays:  # in place, so that large ones need not be copied
+            array.resize((len(array) + more, *array.shape[1:]), refcheck=False)
 
     @property
     def _so_far(self) -> str:
@@ -190,7 +191,9 @@ class _Chunk:
         rule_bits = len(tables.rule_action) // 64 + 1
         words = tables.words
         sizes = (tables.extended_words, rule_bits, words, words, words)
-        self.room = [np.zeros(length, np.uint64) for length in sizes]
+        self.room: list[Any] = [np.zeros(length, np.uint64) for length in sizes]
+        operations = max(1, len(tables.op_kind))
+        self.room += [np.zeros(operations, np.int32), np.zeros(operations, np.uint8)]
 
     def expand(self, first: int, last: int, alone: bool = False) -> int:
         """Expand some states; says how it ended."""
@@ -218,6 +221,7 @@ class _Chunk:
         return int(expand(
             t.words, t.entry_word, t.entry_mask, t.entry_value, t.op_kind,
             t.op_number, t.op_entries, t.op_word, t.op_bit, t.segment_ops, t.segment_loops,
+            t.op_users, t.user,
             t.rule_entries, t.rule_outcomes, t.rule_action, t.outcome_slot, t.outcome_noise,
             t.outcome_delete, t.outcome_add,
             t.outcome_effects, t.effect_entries, t.effect_changes, t.change_word, t.change_delete,
