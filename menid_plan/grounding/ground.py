@@ -10,7 +10,7 @@ happens, the goal) is then a *cube*: entries (word, mask, value), each of which 
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -61,11 +61,11 @@ class Tables:
     Ranges are by offsets: those of item i are ``start[i]`` to ``start[i + 1]``.
 
     Entries (of cubes and counts): ``entry_word`` int32, ``entry_mask`` and ``entry_value`` uint64.
-    Operations of the program, each of which sets one bit: ``op_kind`` uint8 (0: all entries match, 1:
-    so many bits match, 2: at least so many),
-    ``op_number``, ``op_entries`` (offsets), ``op_word``, ``op_bit``. Segments of it:
-    ``segment_ops`` (offsets), ``segment_loops`` uint8 (repeat until nothing changes), and in those
-    ``op_users`` (offsets into ``user``): the operations of the segment that look at an operation's bit.
+    Operations of the program, each of which sets the next bit behind those of the state: ``op_kind``
+    uint8 (0: all literals hold, 1: so many hold, 2: at least so many, 3: all hold, of a derived atom),
+    ``op_number``, ``op_literals`` (offsets). Literals: ``literal_bit``, ``literal_flip`` (uint64, all
+    ones for the negation). Segments of the program: ``segment_ops`` (offsets), ``segment_loops`` uint8
+    (repeat until nothing changes).
     Rules: ``rule_entries``, ``rule_outcomes`` (offsets), ``rule_action``. Outcomes:
     ``outcome_slot``, ``outcome_noise`` uint8, ``outcome_delete`` and ``outcome_add`` (uint64[., W],
     what it does unconditionally), ``outcome_effects`` (offsets, of the others). Conditional effects:
@@ -83,13 +83,11 @@ class Tables:
     entry_value: NDArray[np.uint64]
     op_kind: NDArray[np.uint8]
     op_number: NDArray[np.int32]
-    op_entries: NDArray[np.int32]
-    op_word: NDArray[np.int32]
-    op_bit: NDArray[np.uint64]
+    op_literals: NDArray[np.int32]
+    literal_bit: NDArray[np.int32]
+    literal_flip: NDArray[np.uint64]
     segment_ops: NDArray[np.int32]
     segment_loops: NDArray[np.uint8]
-    op_users: NDArray[np.int32]
-    user: NDArray[np.int32]
     rule_entries: NDArray[np.int32]
     rule_outcomes: NDArray[np.int32]
     rule_action: NDArray[np.int32]
@@ -374,37 +372,35 @@ class _Builder:
         )
 
     def _fill_program(self, groups: list[list[int]], table: _Columns) -> None:
-        table.start("op_entries", len(self.entries))
-        table.start("segment_ops", 0)
-        table.start("op_users", 0)
-        ops = users = 0
+        for name in ("op_literals", "segment_ops"):
+            table.start(name, 0)
+        ops = literals = 0
         for group in groups:
             loops = any(self.circuit.nodes[number].kind == "derived" for number in group)
-            used_by: dict[int, list[int]] = {number: [] for number in group}
-            for place, number in enumerate(group):
-                node = self.circuit.nodes[number]
-                literals = list(node.operands)
-                if node.kind == "derived":
-                    literals = self._literals(self.circuit.definitions[number])
-                for below in {literal >> 1 for literal in literals} if loops else ():
-                    if below in used_by:
-                        used_by[below].append(ops + place)
-                kind = 0 if node.kind != "count" else 1 if node.comparison == "=" else 2
-                word, bit = divmod(self._bits[number], WORD)
-                table.add(
-                    op_kind=kind, op_number=node.number, op_entries=self._cube(literals),
-                    op_word=word, op_bit=1 << bit,
-                )  # fmt: skip
             for number in group:
-                for user in used_by[number]:
-                    table.add(user=user)
-                users += len(used_by[number])
-                table.add(op_users=users)
+                node = self.circuit.nodes[number]
+                operands = list(node.operands)
+                if node.kind == "derived":
+                    operands = self._literals(self.circuit.definitions[number])
+                for bit, flip in self._literal_bits(operands):
+                    table.add(literal_bit=bit, literal_flip=flip)
+                    literals += 1
+                exactly = node.comparison == "="
+                kind = {"derived": 3, "count": 1 if exactly else 2}.get(node.kind, 0)
+                table.add(op_kind=kind, op_number=node.number, op_literals=literals)
             ops += len(group)
             # One long run of operations that need no repeating is one segment.
             if not loops and table.last("segment_loops") == 0:
                 table.drop("segment_ops", "segment_loops")
             table.add(segment_ops=ops, segment_loops=int(loops))
+
+    def _literal_bits(self, literals: list[Signal]) -> Iterator[tuple[int, int]]:
+        """The bit of each literal, and what turns it into the literal."""
+        for literal in literals:
+            if literal == FALSE:  # a bit and its opposite
+                yield from ((0, 0), (0, _ALL))
+            else:
+                yield self._bits[literal >> 1], _ALL if literal & 1 else 0
 
     def _fill_rules(self, table: _Columns) -> None:
         numbers = {action: number for number, action in enumerate(self.actions)}
@@ -463,9 +459,12 @@ class _Builder:
 
 _TYPES: dict[str, type[np.generic]] = {
     "op_kind": np.uint8, "segment_loops": np.uint8, "outcome_noise": np.uint8,
-    "op_bit": np.uint64, "change_delete": np.uint64, "change_add": np.uint64,
+    "literal_flip": np.uint64, "change_delete": np.uint64, "change_add": np.uint64,
     "reward_value": np.float64,
 }  # fmt: skip
+
+
+_ALL = 2**64 - 1
 
 
 class _Columns:

@@ -18,8 +18,8 @@ class Clock(Protocol):
     def spend(self, seconds: float) -> None:
         """An execution, or several side by side, took so long."""
 
-    def replayed(self) -> None:
-        """The run has gone past a point that it had come to before it was resumed."""
+    def come_to_point(self) -> None:
+        """The run has come to the next point of its curve."""
 
     def caught_up(self) -> None:
         """From here on nothing is a repetition."""
@@ -35,7 +35,7 @@ class VirtualClock:
         """Go on by so much."""
         self.seconds += seconds
 
-    def replayed(self) -> None:
+    def come_to_point(self) -> None:
         """Nothing: the durations tell all."""
 
     def caught_up(self) -> None:
@@ -59,10 +59,12 @@ class RealClock:
         return self._before + (0.0 if self._since is None else time.monotonic() - self._since)
 
     def spend(self, seconds: float) -> None:
-        """Nothing: the time has gone by already."""
+        """Nothing: the time has gone by already. Only in a repetition is it added."""
+        if self._since is None:
+            self._before += seconds
 
-    def replayed(self) -> None:
-        """Show the time at which the run was here before."""
+    def come_to_point(self) -> None:
+        """In a repetition, show the time at which the run was here before, if that is known."""
         if self._past:
             self._before = self._past.popleft()
 

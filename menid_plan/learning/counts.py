@@ -135,7 +135,7 @@ class SlotBelief:
         return self._joined([self.evidence.belief(key).estimate() for key in self.keys])
 
     def learned(self) -> Floats:
-        """The estimator's answer where something is known, else what the domain gives for the target."""
+        """What is to be planned with in the end; see `Evidence.answer`."""
         return self._joined([self.evidence.answer(key) for key in self.keys])
 
     def sample(self, rng: np.random.Generator) -> Floats:
@@ -192,7 +192,9 @@ def _learned_rule(evidence: Evidence, rule: Rule, keys: Sequence[DistributionKey
     names = [outcome.name for outcome in rule.outcomes]
     for key in keys:
         estimate = [Number(float(p)) for p in evidence.belief(key).estimate()]
-        if not key.values and rule.has_column:
+        if not evidence.knows(key) and rule.probability_cells(target, key.values) is not None:
+            probabilities += _with_values(rule.probabilities, target, key.values)
+        elif not key.values and rule.has_column:
             rule = _with_column(rule, target, estimate, evidence.domain)
         else:
             rows = tuple((name, (cell,)) for name, cell in zip(names, estimate, strict=True))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 
 from menid_plan.environments.interface import (
     CannotResetError,
@@ -31,7 +31,7 @@ SAVE_EVERY = 1.0
 
 
 class BrokenOffError(MenidError):
-    """The target is not where the run has left it and can't be put there: a new episode has to begin."""
+    """The target is not where the run has left it: a new episode has to begin."""
 
 
 class Executions:
@@ -87,7 +87,7 @@ class Executions:
 
     def tests(
         self, spec: EnvironmentSpec, state: State, action: GroundAction
-    ) -> Iterator[Experience | None]:
+    ) -> Generator[Experience | None, None, None]:
         """One test of an action in a state after the other; None for one that was given up.
 
         It comes to an end only where the environment can't be put into that state. Some are under way

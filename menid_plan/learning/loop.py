@@ -172,8 +172,7 @@ class Loop:
         left = [self.settings.test_time] * self.settings.lanes  # 8: the time left in each lane
         used = [0.0] * self.settings.lanes
         executed = given_up = 0
-        replayed = not self.executions.replay.over
-        with closing(self.executions.tests(spec, state, action)) as coming:  # type: ignore[type-var]
+        with closing(self.executions.tests(spec, state, action)) as coming:
             for experience in coming:  # 10
                 if experience is None:
                     given_up += 1
@@ -190,11 +189,10 @@ class Loop:
                     break
         self.executions.save()
         self.clock.spend(max(used))
-        self._point("test", replayed=replayed and self.executions.replay.over)
+        self._point("test")
 
     def _execute(self, state: State, action: GroundAction) -> None:
         """Execute an action in the target."""
-        replayed = not self.executions.replay.over
         try:
             experience = self.executions.step(state, action, self.progress.steps)
         except BrokenOffError:
@@ -209,7 +207,7 @@ class Loop:
         self.clock.spend(experience.duration)
         self.state = experience.after
         self._episode_step += 1
-        self._point("step", replayed=replayed)
+        self._point("step")
 
     def _learn(self, experience: Experience) -> None:
         """Count an experience: what it costs does not grow with what is known."""
@@ -231,7 +229,7 @@ class Loop:
         settings, progress = self.settings, self.progress
         if not self.executions.replay.over:
             return False
-        if settings.hours is not None and self._idle > MAX_IDLE:
+        if settings.clock == "virtual" and self._idle > MAX_IDLE and settings.hours is not None:
             raise StuckError(
                 f"{MAX_IDLE} executions have taken no time, and the run is to end by the clock; give "
                 "executions a duration, or the run a number of steps"
@@ -281,9 +279,8 @@ class Loop:
         ]
         return heapq.nlargest(number, bounds, key=lambda pair: pair[1])
 
-    def _point(self, what: Literal["step", "test"], *, replayed: bool) -> None:
-        if replayed:
-            self.clock.replayed()
+    def _point(self, what: Literal["step", "test"]) -> None:
+        self.clock.come_to_point()
         progress = self.progress
         tests = sum(progress.executions.values()) - progress.steps
         self.watch(

@@ -111,7 +111,7 @@ class Planner:
         compiled = ground(self.domain, problem, self.params)
         structure = explore(compiled, max_states=self.max_states)
         if len(self._models) == MAX_MODELS:
-            del self._models[1]  # the oldest of those that are not the problem's own
+            del self._models[1]  # the first one, nearly always the problem's own, stays
         self._models.append(_Model(self, compiled, structure))
         return self._models[-1], 0
 

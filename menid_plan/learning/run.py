@@ -9,29 +9,38 @@ from __future__ import annotations
 
 import json
 import os
-import time
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, fields
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from menid_plan.environments.pool import Failure
 from menid_plan.environments.runfile import Bound, WorkersTable
 from menid_plan.environments.seeds import seed_of
+from menid_plan.environments.settings import SettingError
 from menid_plan.errors import MenidError
+from menid_plan.experience.attribution import Attributor
 from menid_plan.experience.store import Store
 from menid_plan.language.write import write
+from menid_plan.learning.clock import Clock, RealClock, VirtualClock
 from menid_plan.learning.counts import Evidence, learned_domain
-from menid_plan.learning.estimators import estimator
-from menid_plan.learning.loop import Loop, Point, Progress
+from menid_plan.learning.curve import Curve, Point
+from menid_plan.learning.estimators import Estimator, UnknownEstimatorError, estimator
+from menid_plan.learning.events import Events
+from menid_plan.learning.executions import Executions
+from menid_plan.learning.loop import Loop, Progress
 from menid_plan.learning.planner import Planner
 from menid_plan.learning.settings import LearnSettings
-from menid_plan.planning import Task
-from menid_plan.solving import OnlineSolver, Solver, UnsupportedError
+from menid_plan.planning import OptionError, Task
+from menid_plan.solving import OnlineSolver, Solver, UnknownSolverError, UnsupportedError
 
 STORE = "experiences.sqlite"
+SETTINGS = "settings.json"
+EVENTS = "events.jsonl"
+CURVE = "curve.csv"
+LEARNED = "learned.menid"
 VERSION = 1
 
 # What a run that is resumed may change: when it ends.
@@ -44,10 +53,17 @@ class RunError(MenidError):
     exit_code = 3
 
 
+class FolderError(MenidError):
+    """A file in the folder of a run cannot be written: the disk is full, say."""
+
+
 class Run:
     """One learning run in a folder; ``watch`` is called with every point of its curve.
 
-    ``resume`` goes on with the run that is there. Raises RunError, or StoreError, where that can't be.
+    ``reported`` is told in words of each execution that failed, from any thread. ``resume`` goes on
+    with the run that is there. Settings are looked at before anything is written: raises SettingError
+    that names the key, UnsupportedError for an objective that the solver does not know, RunError or
+    StoreError if the folder can't be used.
     """
 
     def __init__(
@@ -60,89 +76,120 @@ class Run:
         params: Mapping[str, float] | None = None,
         resume: bool = False,
         watch: Callable[[Point], None] = lambda _: None,
-        failed: Callable[[str], None] = lambda _: None,
+        reported: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.folder = folder
         self.bound = bound
         self.settings = settings
         self.params = dict(params or {})
         self._watch = watch
-        self._failed = failed
-        self._prepare(resume)
         names = [spec.name for spec in bound.environments]
         self.evidence = Evidence(
-            bound.domain, bound.problem, names,
-            estimator(settings.estimator, **settings.estimator_options), settings.prior_weight,
-            self.params,
+            bound.domain, bound.problem, names, made_estimator(settings, len(names)),
+            settings.prior_weight, self.params,
         )  # fmt: skip
-        self.task = Task(bound.domain, bound.problem, params=self.params)
-        objective = settings.objective or self.task.objective
+        objective = settings.objective or Task(bound.domain, bound.problem).objective
         self.planner = Planner(
-            bound.domain, bound.problem, self.evidence, _solver(settings.solver), objective,
+            bound.domain, bound.problem, self.evidence, _made_solver(settings), objective,
             np.random.default_rng(seed_of(settings.seed, "planner")), self.params,
         )  # fmt: skip
-        self.store = Store.create(
-            folder / STORE, bound.domain, bound.problem, settings=self._described(),
-            seed=settings.seed, resume=resume,
-        )  # fmt: skip
-        try:
-            self.curve = _Curve(folder / "curve.csv")
-            self.loop = Loop(
-                bound, settings, self.evidence, self.planner, self.store, workers=workers.number,
-                scheduler=workers.scheduler, watch=self._point, failed=self._note,
+        self.planner.best()  # what can't be grounded or solved is told before anything is written
+        with ExitStack() as opened:
+            self.store = opened.enter_context(self._open_store(resume))
+            self.resumed = len(self.store) > 0
+            self.events = Events(folder / EVENTS)
+            self._curve = Curve(folder / CURVE)
+            opened.callback(self._curve.close)
+            clock: Clock = VirtualClock()
+            if settings.clock == "real":
+                clock = RealClock(self._curve.times())
+            attributor = Attributor(
+                bound.domain, bound.problem, self.params, settings.attribution
+            )
+            executions = Executions(
+                bound, settings.seed, attributor, self.evidence, self.store, self.events, workers,
+                tests=settings.test_time > 0.0, reported=reported,
             )  # fmt: skip
-        except BaseException:
-            self.store.close()
-            raise
+            self.loop = Loop(
+                bound, settings, self.evidence, self.planner, attributor, executions, clock,
+                self._point,
+            )  # fmt: skip
+            self._opened = opened.pop_all()
 
     def learn(self) -> Progress:
-        """Learn to the end of the run; what was learned is written however it ends."""
-        self._event("resumes" if len(self.store) else "starts", stored=len(self.store))
-        end = "failed"
-        try:
-            self.loop.run()
-            end = "ended"
-        except KeyboardInterrupt:
-            end = "interrupted"
-            raise
-        finally:
+        """Learn to the end of the run; what was learned is written however it ends.
+
+        Raises FolderError or StoreError where the disk fails, KeyboardInterrupt, and whatever the
+        target or the domain give reason to. A run can be resumed after any of these.
+        """
+        with self._opened:
+            self._event("resumes" if self.resumed else "starts", stored=len(self.store))
             try:
-                self.write_learned()
-                progress = self.loop.progress
-                self._event(
-                    end, steps=progress.steps, episodes=progress.episodes, reward=progress.reward,
-                    executions=dict(progress.executions), failed=dict(progress.failed),
-                )  # fmt: skip
-            finally:
-                self.curve.close()
-                self.store.close()
+                self.loop.run()
+            except BaseException as error:
+                interrupted = isinstance(error, KeyboardInterrupt)
+                # What stopped the run is to be told, and not what comes of it.
+                with suppress(MenidError, OSError):
+                    self._write_end("interrupted" if interrupted else "failed", str(error))
+                if isinstance(error, OSError):
+                    raise FolderError(_failure(self.folder, error)) from error
+                raise
+            self._write_end("ended")
         return self.loop.progress
+
+    def _write_end(self, end: str, why: str = "") -> None:
+        self.write_learned()
+        progress = self.loop.progress
+        self._event(
+            end, steps=progress.steps, episodes=progress.episodes, reward=progress.reward,
+            executions=dict(progress.executions), failed=dict(self.failed),
+            **({"message": why} if why else {}),
+        )  # fmt: skip
 
     def write_learned(self) -> None:
         """Write the domain with what was learned, and with the roles of this run."""
         roles = {spec.name: spec.role for spec in self.bound.environments}
-        _replace(self.folder / "learned.menid", write(learned_domain(self.evidence, roles)))
+        with _writing(self.folder):
+            _replace(self.folder / LEARNED, write(learned_domain(self.evidence, roles)))
+
+    @property
+    def failed(self) -> Mapping[str, int]:
+        """Attempts at executions that came to nothing, by environment, those before a resume too."""
+        return self.events.failed
 
     # ------------------------------------------------------------------------------------ the folder
 
-    def _prepare(self, resume: bool) -> None:
-        """Make the folder, or see that the run that is there is this one."""
-        path = self.folder / "settings.json"
+    def _open_store(self, resume: bool) -> Store:
+        """The store of the run that is there, if it is this one, or a new one."""
         described = self._described()
-        if path.exists():
-            if not resume:
+        settings, store = self.folder / SETTINGS, self.folder / STORE
+        if not resume:
+            there = [n for n in (STORE, SETTINGS, CURVE, EVENTS) if (self.folder / n).exists()]
+            if there:
                 raise RunError(
-                    f"there is a run in `{self.folder}` already; go on with --resume, or give another "
-                    "folder"
+                    f"there is a run in `{self.folder}` already ({', '.join(there)}); go on with "
+                    "--resume, or give another folder"
                 )
-            self._must_be_same(path, described)
-        elif resume and not (self.folder / STORE).exists():
+        elif not settings.exists() and not store.exists():
             raise RunError(f"there is no run in `{self.folder}` to resume")
+        if settings.exists():
+            _must_be_same(settings, _read_settings(settings), described)
         self.folder.mkdir(parents=True, exist_ok=True)
-        _replace(path, json.dumps(described, indent=2) + "\n")
+        opened = Store.create(
+            store, self.bound.domain, self.bound.problem, settings=described,
+            seed=self.settings.seed, resume=resume,
+        )  # fmt: skip
+        try:
+            _must_be_same(store, opened.settings, described)
+            with _writing(self.folder):
+                _replace(settings, json.dumps(described, indent=2) + "\n")
+        except BaseException:
+            opened.close()
+            raise
+        return opened
 
     def _described(self) -> dict[str, Any]:
-        return {
+        described = {
             "version": VERSION,
             "domain": self.bound.domain.name,
             "problem": self.bound.problem.name,
@@ -153,95 +200,118 @@ class Run:
                     "role": spec.role,
                     "kind": type(spec.kind).name,
                     "duration": spec.duration,
-                    "settings": _plain(asdict(spec.kind)),  # type: ignore[call-overload]
+                    "settings": asdict(spec.kind),  # type: ignore[call-overload]
                 }
                 for spec in self.bound.environments
             },
         }
-
-    def _must_be_same(self, path: Path, described: dict[str, Any]) -> None:
-        try:
-            before = json.loads(path.read_text(encoding="utf-8"))
-            learn = dict(before["learn"])
-        except (ValueError, KeyError, TypeError) as error:
-            raise RunError(f"`{path}` is not what a run has written: {error}") from error
-        if before.get("version") != VERSION:
-            raise RunError(f"`{path}` was written by another version of the program")
-        now = json.loads(json.dumps(described))
-        for key in ("domain", "problem", "params", "environments"):
-            if before.get(key) != now[key]:
-                raise RunError(f"`{path}`: the run has another {key.rstrip('s')} setting")
-        for key in (field.name for field in fields(LearnSettings)):
-            if key not in LIMITS and learn.get(key) != now["learn"][key]:
-                raise RunError(
-                    f"`{path}`: the run has {key} = {learn.get(key)!r}, and is to be resumed with "
-                    f"{now['learn'][key]!r}; only {', '.join(LIMITS)} may change"
-                )
-
-    # ---------------------------------------------------------------------------------------- events
+        plain: dict[str, Any] = json.loads(json.dumps(described, default=str))
+        return plain
 
     def _point(self, point: Point) -> None:
-        self.curve.add(point)
+        self._curve.add(point)
         self._watch(point)
 
-    def _note(self, failure: Failure) -> None:
-        self._event("failure", environment=failure.environment, message=str(failure))
-        self._failed(str(failure))
-
     def _event(self, event: str, **more: Any) -> None:
-        line = json.dumps({"event": event, "when": time.time(), **more})
-        with (self.folder / "events.jsonl").open("a", encoding="utf-8") as file:
-            file.write(line + "\n")
+        with _writing(self.folder):
+            self.events.write(event, **more)
 
 
-class _Curve:
-    """`curve.csv`: a row for each step in the target and each time that an action was tested.
-
-    A run that is resumed goes through the points that are there already once more; those stay.
-    """
-
-    HEAD = "seconds,reward,steps,episodes,tests,what\n"
-
-    def __init__(self, path: Path) -> None:
-        text = path.read_text(encoding="utf-8") if path.exists() else ""
-        whole = text[: text.rfind("\n") + 1]  # a line that was being written is not a row
-        if not whole.startswith(self.HEAD):
-            whole = self.HEAD
-        self._there = whole.count("\n") - 1
-        self._file = path.open("w", encoding="utf-8", newline="\n")
-        self._file.write(whole)
-        self._file.flush()
-
-    def add(self, point: Point) -> None:
-        """Write a point down, unless it is there."""
-        if self._there > 0:
-            self._there -= 1
-            return
-        self._file.write(
-            f"{point.seconds!r},{point.reward!r},{point.steps},{point.episodes},{point.tests},"
-            f"{point.what}\n"
-        )
-        self._file.flush()
-
-    def close(self) -> None:
-        """Let go of the file."""
-        self._file.close()
-
-
-def _solver(name: str) -> Solver | OnlineSolver:
+def made_estimator(settings: LearnSettings, environments: int) -> Estimator:
+    """The estimator of some settings, tried on counts of so many environments."""
     try:
-        return Task.online_solver(name)
-    except UnsupportedError:
-        return Task.solver(name)
+        found = estimator(settings.estimator, **settings.estimator_options)
+    except UnknownEstimatorError as error:
+        wrong = "estimator_options" if "has no option" in str(error) else "estimator"
+        raise SettingError(f"learn.{wrong}", str(error)) from error
+    except (ValueError, TypeError) as error:
+        raise SettingError("learn.estimator_options", str(error)) from error
+    try:
+        found.posterior(np.ones((environments, 2)))
+    except (ValueError, TypeError) as error:
+        raise SettingError("learn.estimator_options", str(error)) from error
+    return found
 
 
-def _plain(value: Any) -> Any:
-    """A value as JSON has it."""
-    return json.loads(json.dumps(value, default=str))
+def _made_solver(settings: LearnSettings) -> Solver | OnlineSolver:
+    name, options = settings.solver, dict(settings.solver_options)
+    try:
+        try:
+            return Task.online_solver(name, **options)
+        except UnsupportedError:
+            return Task.solver(name, **options)
+    except UnknownSolverError as error:
+        raise SettingError("learn.solver", str(error)) from error
+    except (OptionError, TypeError) as error:
+        raise SettingError("learn.solver_options", str(error)) from error
+
+
+def _read_settings(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(found, dict):
+            raise ValueError("it is no table")
+    except (ValueError, RecursionError) as error:
+        raise RunError(
+            f"`{path}` is not what a run has written: {error}; the store has the settings too, so the "
+            "run can be resumed if you remove the file"
+        ) from error
+    return found
+
+
+def _must_be_same(path: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Refuse to go on with a run by other settings; names the first key that differs."""
+    if before.get("version") != now["version"]:
+        raise RunError(
+            f"`{path}` has settings of version {before.get('version')!r}, and this menid-plan knows "
+            f"{now['version']}"
+        )
+    for key, there, here in _differences(before, now):
+        if key not in [f"learn.{limit}" for limit in LIMITS]:
+            raise RunError(
+                f"`{path}`: the run has {key} = {_shown(there)}, and is to be resumed with "
+                f"{_shown(here)}; only when it ends ({', '.join(LIMITS)}) may change"
+            )
+
+
+_NOTHING = object()
+
+
+def _differences(before: Any, now: Any, key: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """The keys at which two tables differ, with the values there."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        for name in dict.fromkeys((*before, *now)):
+            inner = f"{key}.{name}" if key else name
+            yield from _differences(before.get(name, _NOTHING), now.get(name, _NOTHING), inner)
+    elif before != now:
+        yield key, before, now
+
+
+def _shown(value: Any) -> str:
+    return "nothing" if value is _NOTHING else json.dumps(value)
+
+
+@contextmanager
+def _writing(folder: Path) -> Iterator[None]:
+    """Turn what the disk says into FolderError."""
+    try:
+        yield
+    except OSError as error:
+        raise FolderError(_failure(folder, error)) from error
+
+
+def _failure(folder: Path, error: OSError) -> str:
+    where = error.filename or folder
+    return f"cannot write `{where}`: {error.strerror or error}; when it can be, --resume goes on"
 
 
 def _replace(path: Path, text: str) -> None:
     """Write a file in one step."""
     new = path.with_name(f".{path.name}.new")
-    new.write_text(text, encoding="utf-8", newline="\n")
-    os.replace(new, path)
+    try:
+        new.write_text(text, encoding="utf-8", newline="\n")
+        os.replace(new, path)
+    except OSError:
+        with suppress(OSError):
+            new.unlink()
+        raise

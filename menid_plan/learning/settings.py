@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
@@ -19,6 +20,9 @@ StopRule: TypeAlias = Literal["delta", "gap", "best"]
 target. ``best``: or the best action is the best in all but a share epsilon of the models that may be.
 """
 
+Option: TypeAlias = bool | int | float | str | tuple[float, ...]
+"""What an option of an estimator or a solver may be."""
+
 
 @dataclass(frozen=True, slots=True)
 class LearnSettings:
@@ -27,11 +31,11 @@ class LearnSettings:
     ``test_time`` (T) is in seconds of the clock for each tested action, 0 never tests. ``delta`` is
     the threshold of the bound on the error in a test environment, ``epsilon`` the probability that it
     is exceeded, ``delta_method`` how it is found. ``estimator`` merges the counts, with
-    ``estimator_options`` such as m. ``solver`` chooses actions, ``objective`` what is best (empty: as
-    the problem has it). ``prior_weight``: how many executions the domain's own probabilities are
-    worth. ``attribution``: how outcomes that lead to one state share a count. ``lanes``: how many
-    tests run side by side on the virtual clock. An episode ends at a goal, a dead end, the horizon,
-    or after ``episode_steps``. The run ends after ``steps`` executions in the target, ``episodes``,
+    ``estimator_options`` such as m. ``solver`` chooses actions, with ``solver_options``; ``objective``
+    says what is best (empty: as the problem has it). ``prior_weight``: how many executions the domain's
+    own probabilities are worth. ``attribution``: how outcomes that lead to one state share a count.
+    ``lanes``: how many tests run side by side on the virtual clock. An episode ends at a goal, a dead
+    end, the horizon, or after ``episode_steps``. The run ends after ``steps`` executions in the target, ``episodes``,
     or ``hours`` of the clock (an hour if nothing is said).
     """
 
@@ -43,10 +47,11 @@ class LearnSettings:
     stop: StopRule = "delta"
     tests: TestPolicy = "cheapest-first"
     estimator: str = "decreasing-m"
-    estimator_options: dict[str, float] = field(default_factory=dict)
+    estimator_options: Mapping[str, Option] = field(default_factory=dict)
     prior_weight: float = 0.0
     attribution: Literal["em", "first"] = "em"
     solver: str = "thompson"
+    solver_options: Mapping[str, Option] = field(default_factory=dict)
     objective: Literal["", "reward", "goal-then-reward", "goal-probability", "steps"] = ""
     clock: Literal["virtual", "real"] = "virtual"
     lanes: int = 1

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from menid_plan.compiled import kernel
+from menid_plan.mdp.program import LANES, extend_block
 
 # Why expand came back.
 DONE, FULL, NO_ROOM, CONFLICT, UNKNOWN = range(5)
@@ -31,80 +32,6 @@ def matches(extended: Any, begin: int, end: int, word: Any, mask: Any, value: An
         if (extended[word[entry]] & mask[entry]) != value[entry]:
             return False
     return True
-
-
-@kernel()
-def count_bits(extended: Any, begin: int, end: int, word: Any, mask: Any, value: Any) -> int:
-    """How many of the bits that some entries look at are as they say."""
-    total = 0
-    for entry in range(begin, end):
-        total += int(ones(~(extended[word[entry]] ^ value[entry]) & mask[entry]))
-    return total
-
-
-@kernel(inline=True)
-def evaluate(
-    op: int, extended: Any, word: Any, mask: Any, value: Any, op_kind: Any, op_number: Any,
-    op_entries: Any, op_word: Any, op_bit: Any,
-) -> bool:  # fmt: skip
-    """Compute the bit of an operation; whether it changed."""
-    begin, end = op_entries[op], op_entries[op + 1]
-    if op_kind[op] == 0:  # without branches: nothing about a state can be foretold
-        wrong = np.uint64(0)
-        for entry in range(begin, end):
-            wrong |= (extended[word[entry]] & mask[entry]) ^ value[entry]
-        holds = wrong == 0
-    else:
-        found = count_bits(extended, begin, end, word, mask, value)
-        holds = found == op_number[op] or (op_kind[op] == 2 and found > op_number[op])
-    at = op_word[op]
-    before = extended[at]
-    extended[at] = (before & ~op_bit[op]) | (op_bit[op] * np.uint64(holds))
-    return bool(extended[at] != before)
-
-
-@kernel()
-def extend(
-    extended: Any, words: int, word: Any, mask: Any, value: Any, op_kind: Any, op_number: Any,
-    op_entries: Any, op_word: Any, op_bit: Any, segment_ops: Any, segment_loops: Any,
-    op_users: Any, user: Any, queue: Any, queued: Any,
-) -> None:  # fmt: skip
-    """Compute the bits behind a state's own, segment by segment.
-
-    In a segment that loops, operations whose inputs changed are computed again, first come first
-    served. ``queue`` and ``queued`` have room for all operations; the latter is 0 before and after.
-    """
-    for i in range(words, len(extended)):
-        extended[i] = 0
-    for segment in range(len(segment_loops)):
-        first, last = segment_ops[segment], segment_ops[segment + 1]
-        if segment_loops[segment] == 0:
-            for op in range(first, last):
-                evaluate(
-                    op, extended, word, mask, value, op_kind, op_number, op_entries, op_word,
-                    op_bit,
-                )  # fmt: skip
-            continue
-        head, waiting, turn = 0, 0, first
-        while turn < last or waiting > 0:
-            if turn < last:
-                op = turn
-                turn += 1
-            else:
-                op = queue[head]
-                head = head + 1 if head + 1 < len(queue) else 0
-                waiting -= 1
-                queued[op] = 0
-            if evaluate(
-                op, extended, word, mask, value, op_kind, op_number, op_entries, op_word, op_bit
-            ):
-                for k in range(op_users[op], op_users[op + 1]):
-                    other = user[k]
-                    if other < turn and queued[other] == 0:  # the others come anyway
-                        queued[other] = 1
-                        tail = head + waiting
-                        queue[tail if tail < len(queue) else tail - len(queue)] = other
-                        waiting += 1
 
 
 @kernel(inline=True)
@@ -230,20 +157,19 @@ def put_numbers(count: int, found_state: Any, number: Any, next_state: Any) -> N
 
 @kernel(
     "i8(i8, i4[::1], u8[::1], u8[::1], u1[::1], i4[::1], i4[::1], i4[::1], u8[::1], i4[::1],"
-    " u1[::1], i4[::1], i4[::1], i4[::1], i4[::1], i4[::1], i4[::1], u1[::1], u8[:, ::1],"
-    " u8[:, ::1], i4[::1],"
+    " u1[::1], i4[::1], i4[::1], i4[::1], i4[::1], u1[::1], u8[:, ::1], u8[:, ::1], i4[::1],"
     " i4[::1], i4[::1], i4[::1], u8[::1], u8[::1], i4[::1], f8[::1], i4[::1],"
     " u8[:, ::1], i4[:, ::1], i4[::1], i4[::1], i4[::1], i4[::1],"
     " u8[:, ::1], i4[:, ::1], i4[::1], i4[::1], i4[::1], i4[::1],"
     " u1[::1], b1, i4[::1], u8[:, ::1], i8, i8, i8,"
     " i8[::1], i8[::1], b1[::1], f8[::1], i4[::1], i8[::1], i4[::1], i4[::1], u8[:, ::1],"
-    " i8[::1], u8[::1], u8[::1], u8[::1], u8[::1], u8[::1], i4[::1], u1[::1])"
+    " i8[::1], u8[::1], u8[::1], u8[::1], u8[::1], u8[::1], u8[::1], u8[::1],"
+    " u8[::1], u8[:, ::1])"
 )
 def expand(
     # What is known of the problem (see grounding.ground.Tables).
-    words: int, word: Any, mask: Any, value: Any, op_kind: Any,
-    op_number: Any, op_entries: Any, op_word: Any, op_bit: Any, segment_ops: Any,
-    segment_loops: Any, op_users: Any, user: Any,
+    words: int, word: Any, mask: Any, value: Any, op_kind: Any, op_number: Any,
+    op_literals: Any, literal_bit: Any, literal_flip: Any, segment_ops: Any, segment_loops: Any,
     rule_entries: Any, rule_outcomes: Any, rule_action: Any,
     outcome_slot: Any, outcome_noise: Any, outcome_delete: Any, outcome_add: Any,
     outcome_effects: Any, effect_entries: Any,
@@ -259,9 +185,10 @@ def expand(
     # What is found: counts = [next state to expand, rows, transitions, new states, all states].
     counts: Any, state_row: Any, goal: Any, state_reward: Any,
     row_rule: Any, row_transition: Any, next_state: Any, slot: Any, new: Any, clash: Any,
-    # Room to work in: the extended words, a bit for each rule, three times words, and twice as many
-    # as there are operations.
-    extended: Any, due: Any, successor: Any, delete: Any, add: Any, queue: Any, queued: Any,
+    # Room to work in: the extended words, a bit for each rule, three times words; and for the program
+    # all extended bits, 64 words, the planes of a count, the extended words of 64 states.
+    extended: Any, due: Any, successor: Any, delete: Any, add: Any,
+    sliced: Any, column: Any, planes: Any, block: Any,
 ) -> int:  # fmt: skip
     """Expand the states from counts[0] to last, as far as there are and have room; says why it stopped.
 
@@ -273,6 +200,7 @@ def expand(
     found = counts[4]
     rules, outcomes = len(rule_action), len(outcome_slot)
     end = DONE
+    block_first = block_end = state
     while state < last and state < found:
         if alone > 0:
             if found - state >= alone:
@@ -287,12 +215,20 @@ def expand(
         ):
             end = FULL
             break
-        for i in range(words):
-            extended[i] = states[state, i]
-        extend(
-            extended, words, word, mask, value, op_kind, op_number, op_entries, op_word, op_bit,
-            segment_ops, segment_loops, op_users, user, queue, queued,
-        )  # fmt: skip
+        if len(op_kind) == 0:
+            for i in range(words):
+                extended[i] = states[state, i]
+        else:
+            if state >= block_end:
+                block_end = min(state + LANES, last, found)
+                block_first = state
+                extend_block(
+                    states, state, block_end - state, words, op_kind, op_number, op_literals,
+                    literal_bit, literal_flip, segment_ops, segment_loops, sliced, column, planes,
+                    block,
+                )  # fmt: skip
+            for i in range(len(extended)):
+                extended[i] = block[state - block_first, i]
         paid = 0.0
         for i in range(len(reward_value)):
             if matches(extended, reward_entries[i], reward_entries[i + 1], word, mask, value):
@@ -319,11 +255,11 @@ def expand(
                         watcher = np.uint64(rule_item[i])
                         due[watcher >> np.uint64(6)] |= np.uint64(1) << (watcher & np.uint64(63))
         previous = -1
-        for block in range(len(due)):
-            while due[block]:
-                next_due = due[block] & (~due[block] + np.uint64(1))
-                due[block] ^= next_due
-                rule = 64 * block + int(ones(next_due - np.uint64(1)))
+        for w_due in range(len(due)):
+            while due[w_due]:
+                next_due = due[w_due] & (~due[w_due] + np.uint64(1))
+                due[w_due] ^= next_due
+                rule = 64 * w_due + int(ones(next_due - np.uint64(1)))
                 if not matches(
                     extended, rule_entries[rule], rule_entries[rule + 1], word, mask, value
                 ):

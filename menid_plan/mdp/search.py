@@ -15,6 +15,7 @@ from menid_plan.errors import LimitError, MeaningError
 from menid_plan.grounding.ground import GroundProblem
 from menid_plan.grounding.state import binding_text, state_text
 from menid_plan.mdp import kernel
+from menid_plan.mdp.program import LANES, PLANES
 from menid_plan.memory import demand
 
 Progress = Callable[[int, int, int], None]
@@ -191,9 +192,10 @@ class _Chunk:
         rule_bits = len(tables.rule_action) // 64 + 1
         words = tables.words
         sizes = (tables.extended_words, rule_bits, words, words, words)
-        self.room: list[Any] = [np.zeros(length, np.uint64) for length in sizes]
-        operations = max(1, len(tables.op_kind))
-        self.room += [np.zeros(operations, np.int32), np.zeros(operations, np.uint8)]
+        self.room = [np.zeros(length, np.uint64) for length in sizes]
+        bits = 64 * tables.extended_words
+        self.room += [np.zeros(length, np.uint64) for length in (bits, LANES, PLANES)]
+        self.room.append(np.zeros((LANES, tables.extended_words), np.uint64))
 
     def expand(self, first: int, last: int, alone: bool = False) -> int:
         """Expand some states; says how it ended."""
@@ -219,9 +221,8 @@ class _Chunk:
         t = search.problem.tables
         expand: Any = kernel.expand  # its parameters are too many to be told apart by their types
         return int(expand(
-            t.words, t.entry_word, t.entry_mask, t.entry_value, t.op_kind,
-            t.op_number, t.op_entries, t.op_word, t.op_bit, t.segment_ops, t.segment_loops,
-            t.op_users, t.user,
+            t.words, t.entry_word, t.entry_mask, t.entry_value, t.op_kind, t.op_number,
+            t.op_literals, t.literal_bit, t.literal_flip, t.segment_ops, t.segment_loops,
             t.rule_entries, t.rule_outcomes, t.rule_action, t.outcome_slot, t.outcome_noise,
             t.outcome_delete, t.outcome_add,
             t.outcome_effects, t.effect_entries, t.effect_changes, t.change_word, t.change_delete,
