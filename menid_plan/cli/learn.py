@@ -17,7 +17,7 @@ from menid_plan.cli.common import existing_file, json_option, load_both, setting
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from menid_plan.learning.loop import Point
+    from menid_plan.learning.curve import Point
     from menid_plan.learning.run import Run
 
 
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 @click.option("--test-time", type=click.FloatRange(0), metavar="T",
               help="Seconds for which an action is tested; 0 never tests.")  # fmt: skip
 @click.option("--estimator", metavar="NAME", help="How counts of several environments are merged.")
+@click.option("--m", type=click.FloatRange(0), help="The weight m of decreasing-m.")
 @click.option("--solver", metavar="NAME", help="What chooses actions; thompson unless it is said.")
 @click.option("--steps", type=click.IntRange(0), help="End after so many executions in the target.")
 @click.option("--episodes", type=click.IntRange(0), help="End after so many episodes.")
@@ -53,6 +54,7 @@ def command(
     output: Path,
     resume: bool,
     settings: dict[str, float],
+    m: float | None,
     workers: int | None,
     as_json: bool,
     **options: Any,
@@ -75,29 +77,28 @@ def command(
     given = {key: value for key, value in options.items() if value is not None}
     if given.keys() & {"steps", "episodes", "hours"}:
         given = {"steps": None, "episodes": None, "hours": None, **given}
-    try:
-        learn = replace(learn, **given)
-    except SettingError as error:
-        raise RunFileError(run_file, [f"learn.{error}"]) from error
+    if m is not None:
+        given["estimator_options"] = {**learn.estimator_options, "m": m}
     table = read.workers if workers is None else replace(read.workers, number=workers)
-    bound = read.bind(domain, problem, settings)
     view = _View()
-    run = Run(
-        output, bound, learn, table, params=settings, resume=resume, watch=view.point,
-        failed=view.failed,
-    )  # fmt: skip
-    view.run = run
+    try:
+        run = Run(
+            output, read.bind(domain, problem, settings), replace(learn, **given), table,
+            params=settings, resume=resume, watch=view.point, reported=view.reported,
+        )  # fmt: skip
+    except SettingError as error:
+        key = error.key if error.key.startswith("learn") else f"learn.{error.key}"
+        raise RunFileError(run_file, [f"{key}: {error.message}"]) from error
     interrupted = False
     try:
-        with view.shown():
+        with view.shown(run):
             run.learn()
     except KeyboardInterrupt:
         interrupted = True
-    result = _result(run)
     if as_json:
-        click.echo(json.dumps(result, indent=2))
+        click.echo(json.dumps(_result(run), indent=2))
     else:
-        _show(result, run)
+        _show(_result(run), run)
     if interrupted:
         click.echo("interrupted; --resume goes on with this run", err=True)
         ctx.exit(6)
@@ -106,9 +107,9 @@ def command(
 def _result(run: Run) -> dict[str, Any]:
     """What came of a run, for JSON."""
     progress = run.loop.progress
-    best = _best(run)
+    action, value = run.planner.best()
     return {
-        "seconds": run.loop.seconds,
+        "seconds": run.loop.clock.seconds,
         "reward": progress.reward,
         "steps": progress.steps,
         "episodes": progress.episodes,
@@ -119,18 +120,10 @@ def _result(run: Run) -> dict[str, Any]:
                 "role": spec.role,
                 "executions": progress.executions[spec.name],
                 "seconds": progress.spent.get(spec.name, 0.0),
-                "failed": progress.failed[spec.name],
+                "failed": run.failed.get(spec.name, 0),
             }
             for spec in run.bound.environments
         },
-        **best,
-    }
-
-
-def _best(run: Run) -> dict[str, Any]:
-    """The best first action by what was learned, and what it is worth."""
-    action, value = run.planner.best()
-    return {
         "action": None if action is None else str(action),
         "value": value,
         "objective": run.planner.objective,
@@ -138,27 +131,34 @@ def _best(run: Run) -> dict[str, Any]:
 
 
 def _show(result: dict[str, Any], run: Run) -> None:
+    reached = ""
+    if run.bound.problem.goal is not None:
+        reached = f", {result['successes']} of them to the goal"
     click.echo(
-        f"{result['steps']} steps, {result['episodes']} episodes of which {result['successes']} "
-        f"came to the goal, reward {result['reward']:.6g} in {_clock(result['seconds'])}"
+        f"{_counted(result['steps'], 'step')} in {_counted(result['episodes'], 'episode')}{reached}; "
+        f"reward {result['reward']:.6g} in {_clock(result['seconds'])}"
     )
     for name, each in result["environments"].items():
-        failed = f", {each['failed']} failed" if each["failed"] else ""
+        failed = f", {_counted(each['failed'], 'attempt')} failed" if each["failed"] else ""
         click.echo(
-            f"  {name} ({each['role']}): {each['executions']} executions, "
+            f"  {name} ({each['role']}): {_counted(each['executions'], 'execution')}, "
             f"{_clock(each['seconds'])}{failed}"
         )
     if result["unexplained"]:
-        click.echo(f"  {result['unexplained']} executions that no rule explains")
-    value = result["value"]
+        click.echo(f"  {_counted(result['unexplained'], 'execution')} that no rule explains")
     click.echo(
         f"best first action by what was learned: {result['action'] or 'none'}, "
-        f"{result['objective']} {value:.6g}"
+        f"{result['objective']} {result['value']:.6g}"
     )
     click.echo(f"wrote {run.folder / 'learned.menid'}")
 
 
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def _clock(seconds: float) -> str:
+    """Hours, minutes and seconds, as 1:02:03."""
     hours, rest = divmod(round(seconds), 3600)
     minutes, rest = divmod(rest, 60)
     return f"{hours}:{minutes:02}:{rest:02}"
@@ -169,27 +169,38 @@ class _View:
 
     EVERY = 5.0
     LEAST_SURE = 5
+    # Failures that are told; the rest is in events.jsonl.
+    FAILURES = 10
 
     def __init__(self) -> None:
-        self.run: Run | None = None
+        self._run: Run | None = None
         self._live: Any = None
         self._next = time.monotonic() + 1.0
+        self._failures = 0
 
     @contextmanager
-    def shown(self) -> Iterator[None]:
+    def shown(self, run: Run) -> Iterator[None]:
         """While the run goes on."""
+        self._run = run
         if sys.stderr is None or not sys.stderr.isatty():
             yield
             return
         from rich.console import Console
         from rich.live import Live
 
+        self._next = 0.0
         console = Console(stderr=True)
         with Live(console=console, transient=True, auto_refresh=False) as self._live:
             yield
+        self._live = None
 
-    def failed(self, message: str) -> None:
+    def reported(self, message: str) -> None:
         """An execution failed."""
+        self._failures += 1
+        if self._failures > self.FAILURES:
+            return
+        if self._failures == self.FAILURES:
+            message += "\n(further failures are told in events.jsonl only)"
         if self._live is not None:
             self._live.console.print(message, markup=False, highlight=False)
         else:
@@ -198,39 +209,41 @@ class _View:
     def point(self, point: Point) -> None:
         """A point of the curve."""
         now = time.monotonic()
-        if now < self._next or self.run is None:
+        if now < self._next or self._run is None:
             return
         if self._live is not None:
             self._next = now + 0.2
-            self._live.update(self._table(point), refresh=True)
+            self._live.update(self._table(self._run, point), refresh=True)
             return
         self._next = now + self.EVERY
-        spent = ", ".join(
-            f"{name} {number}" for name, number in self.run.loop.progress.executions.items()
+        executions = self._run.loop.progress.executions
+        done = ", ".join(
+            f"{spec.name} {executions[spec.name]}" for spec in self._run.bound.environments
         )
         click.echo(
-            f"{_clock(point.seconds)}: reward {point.reward:.6g}, {point.steps} steps, "
-            f"{point.episodes} episodes; executions: {spent}",
+            f"{_clock(point.seconds)}: reward {point.reward:.6g}, {_counted(point.steps, 'step')}, "
+            f"{_counted(point.episodes, 'episode')}; executions: {done}",
             err=True,
         )
 
-    def _table(self, point: Point) -> Any:
+    def _table(self, run: Run, point: Point) -> Any:
         from rich.console import Group
         from rich.table import Table
+        from rich.text import Text
 
-        assert self.run is not None
-        run, progress = self.run, self.run.loop.progress
+        progress = run.loop.progress
+        again = "" if run.loop.executions.replay.over else "  (going through what was done before)"
         head = (
-            f"{_clock(point.seconds)}  reward {point.reward:.6g}  {point.steps} steps  "
-            f"{point.episodes} episodes"
+            f"{_clock(point.seconds)}  reward {point.reward:.6g}  {_counted(point.steps, 'step')}  "
+            f"{_counted(point.episodes, 'episode')}{again}"
         )
         where = Table("environment", "role", "executions", "time", "failed", box=None)
         for spec in run.bound.environments:
             where.add_row(
                 spec.name, spec.role, str(progress.executions[spec.name]),
-                _clock(progress.spent.get(spec.name, 0.0)), str(progress.failed[spec.name]),
+                _clock(progress.spent.get(spec.name, 0.0)), str(run.failed.get(spec.name, 0)),
             )  # fmt: skip
-        unsure = Table("least sure", "delta in the target", box=None)
+        unsure = Table("least sure in the target", "delta", box=None)
         for key, error in run.loop.least_sure(self.LEAST_SURE):
-            unsure.add_row(str(key), f"{error:.3f}")
-        return Group(head, where, unsure)
+            unsure.add_row(Text(str(key)), f"{error:.3f}")
+        return Group(Text(head), where, unsure)

@@ -162,17 +162,19 @@ def agreement(target: Floats, test: Floats) -> float:
 
 
 def learned_domain(evidence: Evidence, roles: Mapping[str, str] | None = None) -> Domain:
-    """The domain with what was learned written into it.
+    """The domain with what was learned written into it, so that any problem can be solved by it.
 
-    Each distribution that something is known of gets a `probabilities` block with the estimate for the
-    target, and an `observed` block with the counts; ``roles`` are the roles that its environments get.
+    Each distribution that was seen gets an `observed` block with the counts, and the estimate for the
+    target, in the table of outcomes or a `probabilities` block. Where nothing was seen what the
+    domain gives stays; a rule for whose target it gives nothing gets the estimate without data.
+    ``roles`` are the roles that its environments get.
     """
     domain = evidence.domain
     actions = []
     for action in domain.actions:
         keys = [k for k in evidence.keys if k.action == action.name and evidence.counts(k).any()]
         rules = (
-            _learned_rule(evidence, rule, [k for k in keys if k.rule == rule.name])
+            _learned_rule(evidence, action.name, rule, [k for k in keys if k.rule == rule.name])
             for rule in action.rules
         )
         actions.append(replace(action, rules=tuple(rules)))
@@ -183,22 +185,25 @@ def learned_domain(evidence: Evidence, roles: Mapping[str, str] | None = None) -
     return replace(domain, actions=tuple(actions), environments=environments)
 
 
-def _learned_rule(evidence: Evidence, rule: Rule, keys: Sequence[DistributionKey]) -> Rule:
-    """A rule with what was learned of its distributions."""
+def _learned_rule(
+    evidence: Evidence, action: str, rule: Rule, keys: Sequence[DistributionKey]
+) -> Rule:
+    """A rule with what was learned of its distributions, ``keys`` being those that were seen."""
     target = evidence.environments[0]
-    values = {key.values for key in keys}
-    probabilities = _without(rule.probabilities, (target,), values)
-    observed = _without(rule.observed, evidence.environments, values)
+    estimated = [key for key in keys if evidence.knows(key)]
+    if rule.probability_cells(target) is None and not any(not k.values for k in estimated):
+        estimated.append(DistributionKey(action, rule.name))
+    probabilities = _without(rule.probabilities, (target,), {key.values for key in estimated})
+    observed = _without(rule.observed, evidence.environments, {key.values for key in keys})
     names = [outcome.name for outcome in rule.outcomes]
-    for key in keys:
+    for key in estimated:
         estimate = [Number(float(p)) for p in evidence.belief(key).estimate()]
-        if not evidence.knows(key) and rule.probability_cells(target, key.values) is not None:
-            probabilities += _with_values(rule.probabilities, target, key.values)
-        elif not key.values and rule.has_column:
+        if not key.values and rule.has_column:
             rule = _with_column(rule, target, estimate, evidence.domain)
         else:
             rows = tuple((name, (cell,)) for name, cell in zip(names, estimate, strict=True))
             probabilities.append(Block((target,), key.values, rows))
+    for key in keys:
         counts = evidence.counts(key)
         seen = tuple(
             (name, tuple(Number(float(c)) for c in counts[:, i])) for i, name in enumerate(names)

@@ -25,9 +25,7 @@ class Point:
     what: Literal["step", "test"]
 
     def __str__(self) -> str:
-        return (
-            f"{self.seconds!r},{self.reward!r},{self.steps},{self.episodes},{self.tests},{self.what}"
-        )
+        return f"{self.seconds!r},{self.reward!r},{self.steps},{self.episodes},{self.tests},{self.what}"
 
 
 class Curve:

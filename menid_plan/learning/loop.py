@@ -265,7 +265,9 @@ class Loop:
 
     def _end_episode(self, reason: str) -> None:
         if self._episode_step == 0:
-            raise StuckError(f"{reason} in the very state in which episodes begin: nothing to learn")
+            raise StuckError(
+                f"{reason} in the very state in which episodes begin: nothing to learn"
+            )
         self.progress.episodes += 1
         self.progress.successes += self._semantics.is_goal(self.state)
         self._in_episode = False

@@ -103,9 +103,7 @@ class Run:
             clock: Clock = VirtualClock()
             if settings.clock == "real":
                 clock = RealClock(self._curve.times())
-            attributor = Attributor(
-                bound.domain, bound.problem, self.params, settings.attribution
-            )
+            attributor = Attributor(bound.domain, bound.problem, self.params, settings.attribution)
             executions = Executions(
                 bound, settings.seed, attributor, self.evidence, self.store, self.events, workers,
                 tests=settings.test_time > 0.0, reported=reported,

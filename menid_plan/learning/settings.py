@@ -35,8 +35,8 @@ class LearnSettings:
     says what is best (empty: as the problem has it). ``prior_weight``: how many executions the domain's
     own probabilities are worth. ``attribution``: how outcomes that lead to one state share a count.
     ``lanes``: how many tests run side by side on the virtual clock. An episode ends at a goal, a dead
-    end, the horizon, or after ``episode_steps``. The run ends after ``steps`` executions in the target, ``episodes``,
-    or ``hours`` of the clock (an hour if nothing is said).
+    end, the horizon, or after ``episode_steps``. The run ends after ``steps`` executions in the target,
+    ``episodes``, or ``hours`` of the clock (an hour if nothing is said).
     """
 
     seed: int = 0
