@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import resource
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,8 @@ from typing import Any
 import click
 
 from menid_plan.cli.common import existing_file, json_option, load_both, setting_option
+from menid_plan.cli.tasks import Display
+from menid_plan.errors import LimitError
 
 
 @click.command("ground")
@@ -53,10 +54,15 @@ def command(
     startup = time.perf_counter() - start
     compiled = ground(domain, problem, settings)
     chances, happens = written(compiled, environment or domain.target)
-    structure = explore(
-        compiled, happens, noise="sink" if noise == "sink" else "stay", max_states=max_states,
-        progress=_progress,
-    )  # fmt: skip
+    display = Display()
+    try:
+        with display:
+            structure = explore(
+                compiled, happens, noise="sink" if noise == "sink" else "stay",
+                max_states=max_states, progress=display.exploring,
+            )  # fmt: skip
+    except KeyboardInterrupt:
+        raise LimitError(f"interrupted while exploring: {display.found}") from None
     result: dict[str, Any] = {
         "facts": len(compiled.facts),
         "rules": len(compiled.rules),
@@ -86,9 +92,3 @@ def command(
     seconds = ", ".join(f"{name} {value:.2f} s" for name, value in result["seconds"].items())
     click.echo(f"{'time':12} {seconds}")
     click.echo(f"{'memory':12} {result['megabytes']:.0f} MB")
-
-
-def _progress(states: int, expanded: int, transitions: int) -> None:
-    if sys.stderr.isatty():
-        text = f"\r{states} states found, {expanded} expanded, {transitions} transitions "
-        click.echo(text, err=True, nl=False)

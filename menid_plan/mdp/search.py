@@ -22,6 +22,7 @@ Progress = Callable[[int, int, int], None]
 """Called now and then with the states found, those expanded, and the transitions."""
 
 STRETCH = 8192  # states that a thread expands before numbers are given
+ROOM = 2**16  # states for which there is room from the start
 WORTH = 4096  # states that wait to be expanded from which on several threads share the work
 
 
@@ -42,18 +43,20 @@ class Search:
         self.happens = happens
         self.to_sink = to_sink
         self.max_states = max_states
-        size = 1024
+        words = problem.tables.words
         self.expanded, self.found, self.rows, self.transitions = 0, 1, 0, 0
-        self.table = np.full(4 * size, -1, np.int32)
-        self.words = np.zeros((size, problem.tables.words), np.uint64)
+        self.table = np.full(4096, -1, np.int32)
+        # Memory that is not written to is not taken, so that there may be plenty from the start.
+        self.words = np.empty((ROOM, words), np.uint64)
         self.words[0] = problem.initial
-        self.state_row = np.zeros(size + 1, np.int64)
-        self.goal = np.zeros(size, np.bool_)
-        self.reward = np.zeros(size, np.float64)
-        self.row_rule = np.zeros(size, np.int32)
-        self.row_transition = np.zeros(size + 1, np.int64)
-        self.next_state = np.zeros(4 * size, np.int32)
-        self.slot = np.zeros(4 * size, np.int32)
+        self.state_row = np.empty(ROOM + 1, np.int64)
+        self.goal = np.empty(ROOM, np.bool_)
+        self.reward = np.empty(ROOM, np.float64)
+        self.row_rule = np.empty(4 * ROOM, np.int32)
+        self.row_transition = np.empty(4 * ROOM + 1, np.int64)
+        self.next_state = np.empty(16 * ROOM, np.int32)
+        self.slot = np.empty(16 * ROOM, np.int32)
+        self.state_row[0] = self.row_transition[0] = 0
         kernel.rehash(self.table, self.words, 1)
 
     def run(self, progress: Progress | None) -> None:

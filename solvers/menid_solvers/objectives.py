@@ -120,6 +120,8 @@ def _policy_chance(
     """The goal's probability under the stage's policy."""
     if reached.settled and mdp.discount == 1.0:
         return reached.sure.astype(np.float64)
+    if limits.interrupted:  # whoever interrupts does not want to wait for this either
+        return _middle(reached.stage)
     taken = policy_rows(mdp, stage)
     again = Limits(None, options.max_seconds, None, limits.started)
     return _middle(reach_goal(mdp, graph, taken, options.epsilon, again).stage)
