@@ -119,10 +119,13 @@ def _structure(search: Search, seconds: float) -> Structure:
     total = states + (sink >= 0)
     state_row = of_length(search.state_row, total + 1)
     state_row[states:] = rows
+    words, goal = of_length(search.words, total), of_length(search.goal, total)
+    reward = of_length(search.reward, total)
+    words[states:], goal[states:], reward[states:] = 0, False, 0.0
     row_rule = search.row_rule[:rows]
     return Structure(
-        search.problem, of_length(search.words, total), state_row, row_rule,
+        search.problem, words, state_row, row_rule,
         search.problem.tables.rule_action[row_rule], search.row_transition[: rows + 1], next_state,
-        search.slot[:transitions], of_length(search.goal, total), of_length(search.reward, total),
+        search.slot[:transitions], goal, reward,
         sink, seconds,
     )  # fmt: skip
