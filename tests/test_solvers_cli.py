@@ -39,7 +39,7 @@ def test_all_about_one() -> None:
 
 
 def test_what_is_not_installed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_installed", lambda _: False)
+    monkeypatch.setattr(module, "installed", lambda _: False)
     assert "needs stormpy>=2, which is not installed" in run()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import stat
 import sys
 import tempfile
@@ -62,6 +63,17 @@ def setting_option(function: _Command) -> _Command:
         help="Set a param of the domain anew; may be given more than once.",
     )  # fmt: skip
     return option(function)
+
+
+def installed(requirement: str) -> bool:
+    """Whether a package is there, of whatever version (``stormpy>=2``)."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        version(re.split(r"[<>=!~ ]", requirement, maxsplit=1)[0])
+    except PackageNotFoundError:
+        return False
+    return True
 
 
 def output_option(function: _Command) -> _Command:

@@ -5,12 +5,18 @@ from __future__ import annotations
 import inspect
 import json
 from dataclasses import MISSING, fields
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from menid_plan.cli.common import existing_file, json_option, load_both, print_plain, setting_option
+from menid_plan.cli.common import (
+    existing_file,
+    installed,
+    json_option,
+    load_both,
+    print_plain,
+    setting_option,
+)
 
 if TYPE_CHECKING:
     from menid_plan.environments.check import Report
@@ -49,7 +55,7 @@ def _described(name: str, kind: type[Kind]) -> dict[str, Any]:
         "name": name,
         "promise": kind.promise,
         "needs": kind.needs,
-        "available": not kind.needs or _installed(kind.needs),
+        "available": not kind.needs or installed(kind.needs),
         "about": inspect.getdoc(kind) or "",
         "settings": {f.name: _setting(f) for f in fields(kind) if f.init},  # type: ignore[arg-type]
     }
@@ -61,14 +67,6 @@ def _setting(field: Any) -> dict[str, Any]:
     if not required and field.default is MISSING:
         default = field.default_factory()
     return {"type": str(field.type), "required": required, "default": default}
-
-
-def _installed(requirement: str) -> bool:
-    try:
-        version(requirement.split(">")[0].split("=")[0].strip())
-    except PackageNotFoundError:
-        return False
-    return True
 
 
 def _needs(kind: dict[str, Any]) -> str:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import inspect
 import json
 from dataclasses import MISSING, fields, is_dataclass
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import click
 
-from menid_plan.cli.common import json_option
+from menid_plan.cli.common import installed, json_option
 
 
 @click.command("solvers")
@@ -41,7 +40,7 @@ def _described(name: str, kind: type[Any]) -> dict[str, Any]:
         "solves": hasattr(kind, "solve"),
         "acts": hasattr(kind, "policy"),
         "needs": needs,
-        "available": not needs or _installed(needs),
+        "available": not needs or installed(needs),
         "about": inspect.getdoc(kind) or "",
         "options": _options(kind),
     }
@@ -52,15 +51,6 @@ def _options(kind: type[Any]) -> dict[str, Any]:
     if not is_dataclass(kind):
         return {}
     return {f.name: None if f.default is MISSING else f.default for f in fields(kind) if f.init}
-
-
-def _installed(requirement: str) -> bool:
-    """Whether a package is there, of whatever version."""
-    try:
-        version(requirement.split(">")[0].split("=")[0].strip())
-    except PackageNotFoundError:
-        return False
-    return True
 
 
 def _kind(solver: dict[str, Any]) -> str:
