@@ -12,7 +12,6 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,8 @@ from menid_plan.grounding.circuit import FALSE, TRUE, Circuit, Signal
 from menid_plan.grounding.instantiate import GroundRule, Instantiation
 from menid_plan.grounding.prune import prune
 from menid_plan.grounding.state import GroundAction, State
-from menid_plan.grounding.watches import Watches, watches
+from menid_plan.grounding.tables import Columns, Tables
+from menid_plan.grounding.watches import watches
 from menid_plan.model.domain import Domain, Problem, param_values
 from menid_plan.model.expressions import EvaluationError, Expression, evaluate
 from menid_plan.model.formulas import GroundAtom
@@ -52,60 +52,6 @@ class Distribution:
     def __str__(self) -> str:
         per = f" for {', '.join(self.values)}" if self.values else ""
         return f"{self.action}.{self.rule.name}{per}"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Tables:
-    """The arrays of a ground problem, as the compiled kernels read them.
-
-    Ranges are by offsets: those of item i are ``start[i]`` to ``start[i + 1]``.
-
-    Entries (of cubes and counts): ``entry_word`` int32, ``entry_mask`` and ``entry_value`` uint64.
-    Operations of the program, each of which sets the next bit behind those of the state: ``op_kind``
-    uint8 (0: all literals hold, 1: so many hold, 2: at least so many, 3: all hold, of a derived atom),
-    ``op_number``, ``op_literals`` (offsets). Literals: ``literal_bit``, ``literal_flip`` (uint64, all
-    ones for the negation). Segments of the program: ``segment_ops`` (offsets), ``segment_loops`` uint8
-    (repeat until nothing changes).
-    Rules: ``rule_entries``, ``rule_outcomes`` (offsets), ``rule_action``. Outcomes:
-    ``outcome_slot``, ``outcome_noise`` uint8, ``outcome_delete`` and ``outcome_add`` (uint64[., W],
-    what it does unconditionally), ``outcome_effects`` (offsets, of the others). Conditional effects:
-    ``effect_entries``, ``effect_changes`` (offsets). Changes: ``change_word``, ``change_delete``,
-    ``change_add``. Watches (see `menid_plan.grounding.watches`): ``rule_watch`` for the rules,
-    ``effect_watch`` for the conditional effects of each outcome. Rewards of states:
-    ``reward_entries`` (offsets), ``reward_value`` float64. The cube of the goal: ``goal_entries`` (two
-    offsets; equal to -1 without a goal).
-    """
-
-    words: int
-    extended_words: int
-    entry_word: NDArray[np.int32]
-    entry_mask: NDArray[np.uint64]
-    entry_value: NDArray[np.uint64]
-    op_kind: NDArray[np.uint8]
-    op_number: NDArray[np.int32]
-    op_literals: NDArray[np.int32]
-    literal_bit: NDArray[np.int32]
-    literal_flip: NDArray[np.uint64]
-    segment_ops: NDArray[np.int32]
-    segment_loops: NDArray[np.uint8]
-    rule_entries: NDArray[np.int32]
-    rule_outcomes: NDArray[np.int32]
-    rule_action: NDArray[np.int32]
-    outcome_slot: NDArray[np.int32]
-    outcome_noise: NDArray[np.uint8]
-    outcome_delete: NDArray[np.uint64]
-    outcome_add: NDArray[np.uint64]
-    outcome_effects: NDArray[np.int32]
-    effect_entries: NDArray[np.int32]
-    effect_changes: NDArray[np.int32]
-    change_word: NDArray[np.int32]
-    change_delete: NDArray[np.uint64]
-    change_add: NDArray[np.uint64]
-    reward_entries: NDArray[np.int32]
-    reward_value: NDArray[np.float64]
-    goal_entries: NDArray[np.int32]
-    rule_watch: Watches
-    effect_watch: Watches
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,6 +163,9 @@ def _value(expression: Expression | None, params: Mapping[str, float], what: str
         return evaluate(expression, params)
     except EvaluationError as error:
         raise MeaningError(f"{what}: {error}") from error
+
+
+_ALL = 2**64 - 1
 
 
 class _Builder:
@@ -344,7 +293,7 @@ class _Builder:
             roots.append(rule.condition)
             roots += [effect.condition for outcome in rule.effects for effect in outcome]
         groups = self._program(roots)
-        table = _Columns()
+        table = Columns()
         self._fill_program(groups, table)
         self._fill_rules(table)
         table.start("reward_entries", len(self.entries))
@@ -371,7 +320,7 @@ class _Builder:
             **table.arrays(),
         )
 
-    def _fill_program(self, groups: list[list[int]], table: _Columns) -> None:
+    def _fill_program(self, groups: list[list[int]], table: Columns) -> None:
         for name in ("op_literals", "segment_ops"):
             table.start(name, 0)
         ops = literals = 0
@@ -402,7 +351,7 @@ class _Builder:
             else:
                 yield self._bits[literal >> 1], _ALL if literal & 1 else 0
 
-    def _fill_rules(self, table: _Columns) -> None:
+    def _fill_rules(self, table: Columns) -> None:
         numbers = {action: number for number, action in enumerate(self.actions)}
         table.start("rule_entries", len(self.entries))
         for rule in self.rules:
@@ -455,49 +404,3 @@ class _Builder:
                 masks[position] |= 1 << bit
                 found[word] = (masks[0], masks[1])
         return found
-
-
-_TYPES: dict[str, type[np.generic]] = {
-    "op_kind": np.uint8, "segment_loops": np.uint8, "outcome_noise": np.uint8,
-    "literal_flip": np.uint64, "change_delete": np.uint64, "change_add": np.uint64,
-    "reward_value": np.float64,
-}  # fmt: skip
-
-
-_ALL = 2**64 - 1
-
-
-class _Columns:
-    """Tables as lists, on their way to arrays."""
-
-    def __init__(self) -> None:
-        names = set(Tables.__dataclass_fields__) - {
-            "words", "extended_words", "entry_word", "entry_mask", "entry_value", "goal_entries",
-            "outcome_delete", "outcome_add", "rule_watch", "effect_watch",
-        }  # fmt: skip
-        self._lists: dict[str, list[float]] = {name: [] for name in sorted(names)}
-
-    def start(self, name: str, offset: int) -> None:
-        """Begin a table of offsets."""
-        self._lists[name].append(offset)
-
-    def add(self, **values: float) -> None:
-        """Append a value to each of some tables."""
-        for name, value in values.items():
-            self._lists[name].append(value)
-
-    def last(self, name: str) -> float | None:
-        """The last value of a table; None if it is empty."""
-        return self._lists[name][-1] if self._lists[name] else None
-
-    def drop(self, *names: str) -> None:
-        """Take the last value of each of some tables away."""
-        for name in names:
-            self._lists[name].pop()
-
-    def arrays(self) -> dict[str, Any]:
-        """The tables as arrays of their types."""
-        return {
-            name: np.array(values, _TYPES.get(name, np.int32))
-            for name, values in self._lists.items()
-        }
