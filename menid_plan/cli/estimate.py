@@ -13,21 +13,26 @@ import click
 from menid_plan.cli.common import checked, existing_file, json_option, opened, print_plain, table
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from rich.console import Console
     from rich.table import Table
 
     from menid_plan.experience.record import DistributionKey
     from menid_plan.learning.counts import Evidence
+    from menid_plan.learning.estimators import Estimator
 
 
 @click.command("estimate")
 @click.argument("domain_file", type=existing_file, metavar="DOMAIN")
 @click.argument("store", required=False, type=click.Path(exists=True, path_type=Path))
-@click.option("--estimator", "name", default="decreasing-m", show_default=True, metavar="NAME",
-              help="How counts of several environments are merged.")  # fmt: skip
+@click.option("--estimator", "name", metavar="NAME",
+              help="How counts of several environments are merged: as in the run, else "
+              "decreasing-m.")  # fmt: skip
 @click.option("--m", type=click.FloatRange(0), help="The weight m of decreasing-m.")
-@click.option("--prior-weight", type=click.FloatRange(0), default=0.0, show_default=True,
-              help="How many executions the domain's own probabilities are worth.")  # fmt: skip
+@click.option("--prior-weight", type=click.FloatRange(0),
+              help="How many executions the domain's own probabilities are worth: as in the run, "
+              "else 0.")  # fmt: skip
 @click.option("--epsilon", type=click.FloatRange(0, 1, min_open=True, max_open=True),
               default=0.05, show_default=True,
               help="The probability that an error is larger than its bound.")  # fmt: skip
@@ -38,9 +43,9 @@ if TYPE_CHECKING:
 def command(
     domain_file: str,
     store: Path | None,
-    name: str,
+    name: str | None,
     m: float | None,
-    prior_weight: float,
+    prior_weight: float | None,
     epsilon: float,
     compare: bool,
     output: Path | None,
@@ -51,44 +56,58 @@ def command(
     STORE is the file of a run, or its folder. The counts of a store are added to those of the domain.
     """
     evidence, roles = _evidence(domain_file, store, name, m, prior_weight)
-    rules = [_described(evidence, key, epsilon) for key in evidence.keys]
-    if compare:
-        for each, key in zip(rules, evidence.keys, strict=True):
-            each["estimators"] = _compared(evidence, key)
+    keys = [key for key in evidence.keys if evidence.counts(key).any()]
+    try:
+        rules = [_described(evidence, key, epsilon) for key in keys]
+        if compare:
+            for each, key in zip(rules, keys, strict=True):
+                each["estimators"] = _compared(evidence, key)
+    except ValueError as error:  # as many tests have data as an estimator can't weigh up
+        raise click.UsageError(str(error)) from error
     if output is not None:
         from menid_plan.language.write import write
         from menid_plan.learning.counts import learned_domain
 
         with opened(output) as stream:
             stream.write(write(learned_domain(evidence, roles)))
+    seen = {(key.action, key.rule) for key in keys}
+    unseen = [
+        f"{action.name}.{rule.name}"
+        for action in evidence.domain.actions
+        for rule in action.rules
+        if (action.name, rule.name) not in seen
+    ]
     if as_json:
         environments = list(evidence.environments)
-        click.echo(json.dumps({"environments": environments, "rules": rules}, indent=2))
-    elif rules:
-        _show(evidence, rules)
-    else:
-        click.echo("nothing was observed", err=True)
+        found = {"environments": environments, "rules": rules, "unseen": unseen}
+        click.echo(json.dumps(found, indent=2))
+        return
+    _show(evidence, rules)
+    if unseen:
+        click.echo(f"never seen: {', '.join(unseen)}")
 
 
 def _evidence(
-    domain_file: str, store: Path | None, name: str, m: float | None, prior_weight: float
+    domain_file: str,
+    store: Path | None,
+    name: str | None,
+    m: float | None,
+    prior_weight: float | None,
 ) -> tuple[Evidence, dict[str, str]]:
     """The evidence of a domain and a store, and the roles of the environments."""
     from menid_plan.experience.store import Store
     from menid_plan.learning.counts import Evidence
-    from menid_plan.learning.estimators import estimator
     from menid_plan.learning.run import STORE
     from menid_plan.model.domain import Problem
 
     domain = next((r.domain for r in checked([domain_file]) if r.domain is not None), None)
     if domain is None:
         raise click.UsageError(f"`{domain_file}` holds no domain")
-    made = estimator(name, **({} if m is None else {"m": m}))
-    roles = {e.name: str(e.role) for e in domain.all_environments}
     if store is None:
+        roles = {e.name: str(e.role) for e in domain.all_environments}
+        made = _estimator(name or "decreasing-m", m, {})
         problem = Problem("none", domain.name)
-        names = sorted(roles, key=lambda each: roles[each] != "target")
-        return Evidence(domain, problem, names, made, prior_weight), roles
+        return Evidence(domain, problem, _in_order(roles), made, prior_weight or 0.0), roles
     path = store / STORE if store.is_dir() else store
     with Store.read(path) as opened_store:
         roles = dict(opened_store.roles)
@@ -99,11 +118,36 @@ def _evidence(
         )
         domain = replace(domain, environments=environments)
         opened_store.must_be_of(domain, None)
-        names = sorted(roles, key=lambda each: roles[each] != "target")
-        evidence = Evidence(domain, opened_store.problem, names, made, prior_weight)
+        # By default everything is as in the run, so that what comes is its learned.menid.
+        settings = opened_store.settings
+        learn = settings.get("learn", {})
+        used = learn.get("estimator", "decreasing-m")
+        options = learn.get("estimator_options", {}) if name in (None, used) else {}
+        weight = learn.get("prior_weight", 0.0) if prior_weight is None else prior_weight
+        taken = settings.get("environments", roles)
+        names = [each for each in _in_order(roles) if each in taken]
+        evidence = Evidence(
+            domain, opened_store.problem, names, _estimator(name or used, m, options), weight,
+            settings.get("params"),
+        )  # fmt: skip
         for (environment, key), weights in opened_store.counts().items():
             evidence.add(environment, key, weights)
     return evidence, roles
+
+
+def _in_order(roles: Mapping[str, str]) -> list[str]:
+    """The environments, the target first."""
+    return sorted(roles, key=lambda each: roles[each] != "target")
+
+
+def _estimator(name: str, m: float | None, options: Mapping[str, Any]) -> Estimator:
+    from menid_plan.learning.estimators import estimator
+
+    given = {**options, **({} if m is None else {"m": m})}
+    try:
+        return estimator(name, **given)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from error
 
 
 def _described(evidence: Evidence, key: DistributionKey, epsilon: float) -> dict[str, Any]:
@@ -126,7 +170,7 @@ def _described(evidence: Evidence, key: DistributionKey, epsilon: float) -> dict
             for name, row in rows.items()
             if name != evidence.environments[0]
         },
-        "estimate": evidence.belief(key).estimate().tolist(),
+        "estimate": evidence.answer(key).tolist(),
     }
 
 

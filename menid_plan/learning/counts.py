@@ -192,7 +192,7 @@ def _learned_rule(
     target = evidence.environments[0]
     estimated = [key for key in keys if evidence.knows(key)]
     if rule.probability_cells(target) is None and not any(not k.values for k in estimated):
-        estimated.append(DistributionKey(action, rule.name))
+        estimated.insert(0, DistributionKey(action, rule.name))
     probabilities = _without(rule.probabilities, (target,), {key.values for key in estimated})
     observed = _without(rule.observed, evidence.environments, {key.values for key in keys})
     names = [outcome.name for outcome in rule.outcomes]
