@@ -167,6 +167,8 @@ def _clock(seconds: float) -> str:
 class _View:
     """Tells how a run goes: a table that is drawn anew on a terminal, else a line now and then."""
 
+    # Seconds to the first line, and from one to the next.
+    FIRST = 1.0
     EVERY = 5.0
     LEAST_SURE = 5
     # Failures that are told; the rest is in events.jsonl.
@@ -175,7 +177,7 @@ class _View:
     def __init__(self) -> None:
         self._run: Run | None = None
         self._live: Any = None
-        self._next = time.monotonic() + 1.0
+        self._next = time.monotonic() + self.FIRST
         self._failures = 0
 
     @contextmanager

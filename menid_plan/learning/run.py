@@ -83,6 +83,9 @@ class Run:
         self.settings = settings
         self.params = dict(params or {})
         self._watch = watch
+        if settings.objective not in ("", "reward") and bound.problem.goal is None:
+            raise SettingError("learn.objective", f"problem `{bound.problem.name}` has no goal")
+        attributor = Attributor(bound.domain, bound.problem, self.params, settings.attribution)
         names = [spec.name for spec in bound.environments]
         self.evidence = Evidence(
             bound.domain, bound.problem, names, made_estimator(settings, len(names)),
@@ -103,7 +106,6 @@ class Run:
             clock: Clock = VirtualClock()
             if settings.clock == "real":
                 clock = RealClock(self._curve.times())
-            attributor = Attributor(bound.domain, bound.problem, self.params, settings.attribution)
             executions = Executions(
                 bound, settings.seed, attributor, self.evidence, self.store, self.events, workers,
                 tests=settings.test_time > 0.0, reported=reported,

@@ -1,0 +1,377 @@
+"""`menid learn`: what it prints, its options, bad input, full disks, a terminal."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from click.testing import Result
+
+import menid_plan
+from learning_runs import LEVERS, stored
+from menid_plan.experience.store import Store
+
+Menid = Callable[..., Result]
+
+RUN_FILE = """\
+[environment.bench]
+kind = "simulated"
+duration = 20
+[environment.model]
+kind = "simulated"
+[workers]
+number = 0
+[learn]
+test_time = 4
+steps = 12
+seed = 3
+"""
+
+PROGRAM = """\
+import json, sys
+mode = sys.argv[1]
+for line in sys.stdin:
+    request = json.loads(line)
+    if request["type"] == "hello":
+        answer = {"type": "hello", "protocol": 1}
+    elif request["type"] == "execute":
+        answer = {"type": "execution", "state": [], "duration": 1}
+        if mode == "rubbish":
+            print("Segmentation fault (just kidding)", flush=True)
+            continue
+        if mode == "nan":
+            print('{"type": "execution", "state": [], "reward": NaN}', flush=True)
+            continue
+        if mode == "unknown":
+            answer["state"] = ["flying(left)"]
+    elif request["type"] == "close":
+        break
+    else:
+        answer = {"type": "state", "state": request.get("state") or []}
+    print(json.dumps(answer), flush=True)
+"""
+
+
+@pytest.fixture
+def levers(menid: Menid) -> Menid:
+    """Runs `menid` beside levers.menid and run.toml."""
+    Path("levers.menid").write_text(LEVERS, encoding="utf-8")
+    Path("run.toml").write_text(RUN_FILE, encoding="utf-8")
+    Path("program.py").write_text(PROGRAM, encoding="utf-8")
+    return menid
+
+
+def learn(menid: Menid, *options: str, run: str = "run.toml", out: str = "out") -> Result:
+    return menid("learn", "levers.menid", "--run", run, "-o", out, *options)
+
+
+def steps(folder: str = "out") -> int:
+    return sum(each.environment == "bench" for each in stored(Path(folder)))
+
+
+def test_what_it_prints_and_writes(levers: Menid) -> None:
+    result = learn(levers)
+    assert result.exit_code == 0
+    assert result.stderr == ""
+    lines = result.stdout.splitlines()
+    assert re.fullmatch(
+        r"12 steps in \d episodes?, \d of them to the goal; reward -?\d+ in 0:0\d:\d\d", lines[0]
+    )
+    assert lines[1] == "  bench (target): 12 executions, 0:04:00"
+    assert re.fullmatch(r"  model \(test\): \d+ executions, 0:00:\d\d", lines[2])
+    assert lines[3].startswith("best first action by what was learned: pull(")
+    assert lines[4:] == ["wrote out/learned.menid"]
+    assert sorted(path.name for path in Path("out").iterdir()) == [
+        "curve.csv", "events.jsonl", "experiences.sqlite", "experiences.sqlite.lock",
+        "learned.menid", "settings.json",
+    ]  # fmt: skip
+    settings = json.loads(Path("out/settings.json").read_text(encoding="utf-8"))
+    assert settings["learn"]["test_time"] == 4.0
+    assert settings["environments"]["bench"]["kind"] == "simulated"
+    assert menid_plan.read("out/learned.menid").domain is not None
+    events = Path("out/events.jsonl").read_text(encoding="utf-8").splitlines()
+    assert [json.loads(event)["event"] for event in events] == ["starts", "ended"]
+
+
+def test_json(levers: Menid) -> None:
+    found = json.loads(learn(levers, "--json").stdout)
+    assert found["steps"] == 12
+    assert found["environments"]["bench"] == {
+        "role": "target", "executions": 12, "seconds": 240.0, "failed": 0,
+    }  # fmt: skip
+    assert found["seconds"] == 240.0 + found["environments"]["model"]["seconds"]
+    assert found["objective"] == "reward"
+    solved = levers("solve", "out/learned.menid", "task.menid", "--json")
+    assert solved.exit_code == 2  # there is no such file
+    Path("task.menid").write_text("problem task" + LEVERS.partition("problem task")[2])
+    solved = json.loads(levers("solve", "out/learned.menid", "task.menid", "--json").stdout)
+    assert solved["value"] == pytest.approx(found["value"], abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("options", "key", "value"),
+    [
+        (["--test-time", "7"], "test_time", 7.0),
+        (["--m", "3"], "estimator_options", {"m": 3.0}),
+        (["--estimator", "robust"], "estimator", "robust"),
+        (["--solver", "value-iteration"], "solver", "value-iteration"),
+        (["--seed", "9"], "seed", 9),
+        (["--steps", "2"], "steps", 2),
+        (["--episodes", "1"], "episodes", 1),
+        (["--hours", "0.02"], "hours", 0.02),
+    ],
+)
+def test_options_come_before_the_run_file(
+    levers: Menid, options: list[str], key: str, value: object
+) -> None:
+    assert learn(levers, *options).exit_code == 0
+    settings = json.loads(Path("out/settings.json").read_text(encoding="utf-8"))["learn"]
+    assert settings[key] == value
+    if key in ("episodes", "hours"):
+        assert settings["steps"] is None  # one limit on the line stands for all in the file
+
+
+def test_resume_goes_on(levers: Menid) -> None:
+    assert learn(levers, "--steps", "5").exit_code == 0
+    assert learn(levers, "--steps", "5").exit_code == 3
+    result = learn(levers, "--resume", "--workers", "1")
+    assert result.exit_code == 0
+    learn(levers, out="other")
+    assert stored(Path("out")) == stored(Path("other"))
+    assert Path("out/curve.csv").read_bytes() == Path("other/curve.csv").read_bytes()
+
+
+# ------------------------------------------------------------------------------------- bad input
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("tset_time = 3", "run.toml: learn.tset_time: unknown key; did you mean `test_time`?"),
+        ('delta = "small"', "run.toml: learn.delta: expected a number"),
+        ("epsilon = 1.5", "run.toml: learn.epsilon: expected a number between 0 and 1"),
+        ("lanes = 0", "run.toml: learn.lanes: expected at least 1"),
+        ('stop = "never"', 'run.toml: learn.stop: expected "delta" or "gap" or "best"'),
+        (
+            'estimator = "robbust"',
+            "run.toml: learn.estimator: there is no estimator `robbust`; did",
+        ),
+        ("estimator_options = { w = 1 }", "run.toml: learn.estimator_options: the estimator `decr"),
+        ("estimator_options = { m = [1, 2] }", "run.toml: learn.estimator_options: "),
+        ('estimator_options = { m = "x" }', "run.toml: learn.estimator_options: "),
+        ('solver = "tomson"', "run.toml: learn.solver: there is no solver `tomson`"),
+        ("solver_options = { x = 1 }", "run.toml: learn.solver_options: the solver `thompson` has"),
+        ("solver_options = { redraw = 0 }", "run.toml: learn.solver_options: "),
+        ("hours = -1", "run.toml: learn.hours: expected at least 0"),
+    ],
+)
+def test_wrong_settings_name_the_key(levers: Menid, line: str, message: str) -> None:
+    key = line.partition(" =")[0]
+    kept = [each for each in RUN_FILE.splitlines() if not each.startswith(f"{key} =")]
+    Path("run.toml").write_text("\n".join([*kept, line]) + "\n", encoding="utf-8")
+    result = learn(levers)
+    assert result.exit_code == 3
+    assert message in result.stderr
+    assert not Path("out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--estimator", "x"], "learn.estimator: there is no estimator `x`"),
+        (["--solver", "x"], "learn.solver: there is no solver `x`"),
+        (["--estimator", "empirical", "--m", "3"], "has no option `m`"),
+        (["--set", "nothing=3"], "nothing"),
+    ],
+)
+def test_wrong_options(levers: Menid, options: list[str], message: str) -> None:
+    result = learn(levers, *options)
+    assert result.exit_code == 3
+    assert message in result.stderr
+    assert not Path("out").exists()
+
+
+def test_an_objective_that_the_problem_does_not_have(levers: Menid) -> None:
+    Path("levers.menid").write_text(LEVERS.replace("goal done reward 10\n", ""), encoding="utf-8")
+    Path("run.toml").write_text(RUN_FILE + 'objective = "goal-probability"\n', encoding="utf-8")
+    result = learn(levers)
+    assert result.exit_code == 3
+    assert "run.toml: learn.objective: problem `task` has no goal" in result.stderr
+    assert not Path("out").exists()
+
+
+def test_a_problem_that_is_over_at_once(levers: Menid) -> None:
+    text = LEVERS.replace("problem task for levers", "problem task for levers\ninit done")
+    Path("levers.menid").write_text(text, encoding="utf-8")
+    result = learn(levers)
+    assert result.exit_code == 3
+    assert "an episode is over in the very state in which episodes begin" in result.stderr
+
+
+def test_a_store_of_another_domain(levers: Menid) -> None:
+    learn(levers)
+    other = LEVERS.replace("0.6 0.8", "0.5 0.8").replace("0.3 0.2", "0.4 0.2")
+    Path("levers.menid").write_text(other, encoding="utf-8")
+    result = learn(levers, "--resume")
+    assert result.exit_code == 3
+    assert "a store of another domain" in result.stderr
+    Path("levers.menid").write_text(LEVERS, encoding="utf-8")
+    assert learn(levers, "--resume").exit_code == 0
+
+
+def test_settings_that_changed(levers: Menid) -> None:
+    learn(levers)
+    result = learn(levers, "--resume", "--test-time", "5")
+    assert result.exit_code == 3
+    assert "learn.test_time = 4.0, and is to be resumed with 5.0" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("out", "code"), [("run.toml", 2), ("run.toml/out", 2), ("/proc/none/out", 2)]
+)
+def test_folders_that_cannot_be(levers: Menid, out: str, code: int) -> None:
+    result = learn(levers, out=out)
+    assert result.exit_code == code
+    assert result.stderr
+
+
+def test_a_run_that_another_process_goes_on_with(levers: Menid) -> None:
+    learn(levers, "--steps", "3")
+    before = Path("out/settings.json").read_bytes()
+    with Store.resume("out/experiences.sqlite"):
+        result = learn(levers, "--resume")
+    assert result.exit_code == 5
+    assert "another process writes" in result.stderr
+    assert Path("out/settings.json").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("mode", "message"),
+    [
+        ("rubbish", "Segmentation fault (just kidding)"),
+        ("nan", "`reward` is nan"),
+        ("unknown", "flying"),
+    ],
+)
+@pytest.mark.parametrize("role", ["target", "test"])
+def test_programs_that_answer_nonsense(levers: Menid, mode: str, message: str, role: str) -> None:
+    program = f"""\
+kind = "process"
+retries = 1
+[environment.NAME.settings]
+command = ["{{python}}", "program.py", "{mode}"]
+"""
+    name, other = ("bench", "model") if role == "target" else ("model", "bench")
+    Path("run.toml").write_text(
+        f"[environment.{name}]\n{program.replace('NAME', name)}\n"
+        f'[environment.{other}]\nkind = "simulated"\n[workers]\nnumber = 1\n'
+        "[learn]\nsteps = 3\ntest_time = 2\n",
+        encoding="utf-8",
+    )
+    result = learn(levers)
+    assert message in result.stderr
+    if role == "target":
+        assert result.exit_code == 5
+        assert steps() == 0
+    else:
+        assert result.exit_code == 0
+        assert steps() == 3
+        assert re.search(
+            r"model \(test\): 0 executions, 0:00:00, \d+ attempts failed", result.stdout
+        )
+        assert result.stderr.count("attempt") <= 10 + 1
+    assert levers("experiences", "out/experiences.sqlite").exit_code == 0
+
+
+@pytest.mark.skipif(os.name == "nt", reason="limits the size of files")
+@pytest.mark.parametrize("room", [3_000, 30_000, 70_000])
+def test_a_full_disk(tmp_path: Path, levers: Menid, room: int) -> None:
+    def limited(*options: str, room: int = room) -> subprocess.CompletedProcess[str]:
+        program = (
+            f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}));"
+            "from menid_plan.cli.main import main; main()"
+        )
+        return subprocess.run(
+            [sys.executable, "-c", program, "learn", "levers.menid", "--run", "run.toml", "-o",
+             "out", *options],
+            capture_output=True, check=False, text=True, timeout=60,
+        )  # fmt: skip
+
+    first = limited("--steps", "400")
+    assert first.returncode == 5, first.stderr
+    assert "cannot" in first.stderr
+    assert "Traceback" not in first.stderr
+    resume = ["--resume"] if Path("out/experiences.sqlite").exists() else []
+    assert limited("--steps", "400", *resume, room=10**8).returncode == 0
+    assert learn(levers, "--steps", "400", out="roomy").exit_code == 0
+    assert stored(Path("out")) == stored(Path("roomy"))
+    for name in ("curve.csv", "learned.menid"):
+        assert (Path("out") / name).read_bytes() == (Path("roomy") / name).read_bytes()
+
+
+# ------------------------------------------------------------------------------------- clocks, views
+
+
+def test_the_real_clock(levers: Menid) -> None:
+    Path("run.toml").write_text(
+        RUN_FILE.replace("steps = 12", 'hours = 0.00015\nclock = "real"'), encoding="utf-8"
+    )
+    begun = time.monotonic()
+    first = json.loads(learn(levers, "--json").stdout)
+    assert 0.54 <= first["seconds"] <= time.monotonic() - begun
+    # An hour is an hour: after a break there is nothing left of it.
+    time.sleep(0.1)
+    again = json.loads(learn(levers, "--json", "--resume").stdout)
+    assert again["steps"] == first["steps"]
+    assert 0.54 <= again["seconds"] <= first["seconds"] + 0.01
+    more = json.loads(learn(levers, "--json", "--resume", "--hours", "0.0003").stdout)
+    assert 1.08 <= more["seconds"] < 1.6
+    assert more["steps"] > first["steps"]
+
+
+def test_lines_where_there_is_no_terminal(levers: Menid, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("menid_plan.cli.learn._View.EVERY", 0.0)
+    monkeypatch.setattr("menid_plan.cli.learn._View.FIRST", 0.0)
+    lines = learn(levers).stderr.splitlines()
+    assert lines[0] == "0:00:04: reward 0, 0 steps, 0 episodes; executions: bench 0, model 4"
+    assert lines[-1].startswith("0:0")
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a pseudo-terminal")
+def test_a_table_on_a_terminal(levers: Menid) -> None:
+    import pty
+
+    pid, terminal = pty.fork()
+    if pid == 0:  # pragma: no cover - another process
+        os.environ.update(TERM="xterm", COLUMNS="80", LINES="40")
+        os.execv(
+            sys.executable,
+            [sys.executable, "-c", "from menid_plan.cli.main import main; main()", "learn",
+             "levers.menid", "--run", "run.toml", "-o", "out", "--steps", "150"],
+        )  # fmt: skip
+    seen = b""
+    while True:
+        try:
+            data = os.read(terminal, 65536)
+        except OSError:
+            break
+        if not data:
+            break
+        seen += data
+    os.close(terminal)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", seen.decode())
+    assert re.search(r"0:\d\d:\d\d  reward -?\d+  \d+ steps?  \d+ episodes?", text)
+    assert re.search(r"environment +role +executions +time +failed", text)
+    assert re.search(r"bench +target +\d+ +0:\d\d:\d\d +0", text)
+    assert re.search(r"least sure in the target +delta", text)
+    assert re.search(r"pull\.dry for (left|right) +0\.\d\d\d", text)
+    assert "150 steps in" in text
+    assert max(len(line.rstrip()) for line in text.splitlines()) <= 100
