@@ -338,7 +338,6 @@ def test_the_real_clock(levers: Menid) -> None:
 
 def test_lines_where_there_is_no_terminal(levers: Menid, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("menid_plan.cli.learn._View.EVERY", 0.0)
-    monkeypatch.setattr("menid_plan.cli.learn._View.FIRST", 0.0)
     lines = learn(levers).stderr.splitlines()
     assert lines[0] == "0:00:04: reward 0, 0 steps, 0 episodes; executions: bench 0, model 4"
     assert lines[-1].startswith("0:0")

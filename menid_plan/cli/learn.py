@@ -167,8 +167,7 @@ def _clock(seconds: float) -> str:
 class _View:
     """Tells how a run goes: a table that is drawn anew on a terminal, else a line now and then."""
 
-    # Seconds to the first line, and from one to the next.
-    FIRST = 1.0
+    # Seconds from one line to the next.
     EVERY = 5.0
     LEAST_SURE = 5
     # Failures that are told; the rest is in events.jsonl.
@@ -177,7 +176,7 @@ class _View:
     def __init__(self) -> None:
         self._run: Run | None = None
         self._live: Any = None
-        self._next = time.monotonic() + self.FIRST
+        self._next = time.monotonic() + self.EVERY
         self._failures = 0
 
     @contextmanager
