@@ -28,6 +28,7 @@ from menid_plan.environments.interface import EnvironmentFailedError
 from menid_plan.environments.registry import EnvironmentSpec
 from menid_plan.environments.runfile import Bound
 from menid_plan.environments.simulated import Simulated
+from menid_plan.experience.record import DistributionKey
 from menid_plan.learning.loop import StuckError
 from menid_plan.learning.run import Run
 from menid_plan.model.formulas import GroundAtom
@@ -414,3 +415,27 @@ def test_such_a_target_may_be_elsewhere_when_the_run_is_resumed(stage: Stage) ->
     assert [event["step"] for event in stage.events if event["event"] == "broken off"] == [1, 3]
     assert "a new episode begins" in said[0]
     assert len(stored(stage.folder / "run")) == 4
+
+
+def test_an_update_costs_the_same_however_much_is_known(stage: Stage) -> None:
+    """What is counted: estimates that are made anew, and reads of the store."""
+    evidence = run_of(stage.folder / "run", bound(stage.kind("moves"), {}), steps=1).evidence
+    posterior = evidence.estimator.posterior
+    asked: list[int] = []
+
+    class Counted:
+        def posterior(self, counts: Any, prior: Any = None) -> Any:
+            asked.append(1)
+            return posterior(counts, prior)
+
+    evidence.estimator = Counted()  # type: ignore[assignment]
+    keys = [DistributionKey("pull", "dry", (lever,)) for lever in ("left", "right")]
+    for known in (1, 1000, 100_000):
+        evidence.add("bench", keys[0], (float(known), 0.0, 0.0))
+        for key in keys:
+            evidence.belief(key)
+        asked.clear()
+        evidence.add("bench", keys[0], (1.0, 0.0, 0.0))
+        for key in keys:
+            evidence.belief(key)
+        assert len(asked) == 1

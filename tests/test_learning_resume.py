@@ -371,3 +371,18 @@ def test_ctrl_c(tmp_path: Path, greenhouse: Any) -> None:
         assert "robot (target)" in out
         assert (learner.out / "learned.menid").exists()
     assert learner.finish() == greenhouse
+
+
+@pytest.mark.parametrize("fault", ["fail", "exit"])
+def test_failures_change_nothing_in_any_number_of_workers(tmp_path: Path, fault: str) -> None:
+    faulty = Faulty(fault, every=4)
+    environments = bound(Simulated(duration=2.0), {"model": faulty}, {"model": 1.5}, retries=0)
+    options = {**SETTINGS, "steps": 8}
+    numbers = (1, 2) if fault == "exit" else (0, 1, 2)
+    found = []
+    for workers in numbers:
+        folder = tmp_path / str(workers)
+        run_of(folder, environments, workers=workers, **options).learn()
+        found.append(content(folder))
+    assert all(each == found[0] for each in found)
+    assert any(e.environment == "model" for e in found[0][0])
