@@ -16,6 +16,7 @@ import os
 import re
 import sys
 import tempfile
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cached_property, lru_cache
@@ -46,6 +47,7 @@ _DTYPES = {
     "f8": np.dtype(np.float64),
 }  # fmt: skip
 _ENTRY = "menid_kernel"
+_LOCK = threading.RLock()  # LLVM and Numba compile and load in one thread at a time
 # Reference counting remains in the code though nothing is counted: arrays come without an owner.
 _STUBS = "define void @NRT_MemInfo_call_dtor(ptr %x) { ret void }"
 _KNOWN_OUTSIDE = re.compile(r"llvm\.|mem(set|cpy|move)$|(sqrt|log|exp|pow|fabs|floor|ceil|fmod)f?$")
@@ -72,6 +74,7 @@ class Kernel:
         self.signature = signature
         self.inline = inline
         self.__doc__ = function.__doc__
+        self._function: Any = None
 
     def __call__(self, *args: Any) -> Any:
         """Run it; arrays must have the types and the number of dimensions of the signature."""
@@ -165,8 +168,15 @@ class Kernel:
                 found.append((_CTYPES[base], 0))
         return found
 
-    @cached_property
-    def _entry(self) -> Any:
+    def _entry(self, *arguments: Any) -> int:
+        """Call the machine code, which the first caller loads."""
+        if self._function is None:
+            with _LOCK:
+                if self._function is None:
+                    self._function = self._as_function()
+        return int(self._function(*arguments))
+
+    def _as_function(self) -> Any:
         """The machine code as a function of C.
 
         It gets where to put the result and an exception; of each array the owner and the object

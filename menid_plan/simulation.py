@@ -17,6 +17,7 @@ from menid_plan.errors import MeaningError
 from menid_plan.grounding.state import SINK, state_text
 from menid_plan.mdp.explore import Structure
 from menid_plan.mdp.model import MDP, Bools, Floats, Ints, SmallInts
+from menid_plan.memory import demand
 from menid_plan.solving import Objective, OnlinePolicy, Solution, StepPolicy
 
 MAX_STEPS = 10_000
@@ -188,6 +189,7 @@ class Simulator:
         most = self.default_steps() if max_steps is None else max_steps
         last = most if mdp.horizon is None else min(most, mdp.horizon)
         distance = self.goal_distance() if hopeless else None
+        demand(60.0 * episodes, f"for {episodes} episodes at once")
         returns = np.zeros(episodes)
         counted = None if distance is None else np.zeros(episodes)
         steps = np.zeros(episodes, np.int64)

@@ -28,7 +28,7 @@ ALLOWED = {
     "memory": {"errors"},
     "mdp": {"source", "errors", "model", "grounding", "compiled", "memory"},
     "solving": {"source", "errors", "model", "grounding", "mdp"},
-    "simulation": {"errors", "grounding", "mdp", "solving"},
+    "simulation": {"errors", "grounding", "mdp", "solving", "memory"},
     "policy": {"errors", "grounding", "mdp", "solving", "simulation"},
     "policy_file": {"errors", "language", "grounding", "model", "solving", "policy"},
     "planning": {"errors", "model", "grounding", "mdp", "solving", "policy", "simulation"},

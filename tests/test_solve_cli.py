@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import Result
+from click.testing import CliRunner, Result
 
 from conftest import ROOT
+from menid_plan.cli.main import main
 from menid_plan.cli.tasks import Display
 from menid_plan.planning import Task
 
@@ -134,12 +135,6 @@ TIE = "action a { rule r { outcomes { o: 1/3 p noise: 2/3 } } } problem t for d 
             ["--solver", "policy-iteration", "--max-seconds", "1"],
             2,
             "the solver `policy-iteration` has no option --max-seconds",
-        ),
-        (
-            "problem t for d",
-            ["--solver", "policy-iteration", "--epsilon", "1"],
-            2,
-            "the solver `policy-iteration` has no option --epsilon",
         ),
         (TIE, ["--solver", "policy-iteration", "--max-iterations", "9"], 0, "solved"),
         ("problem t for d", ["--set", "x=1"], 3, "there is no param `x`"),
@@ -384,7 +379,76 @@ def test_short_work_is_silent(menid: Menid) -> None:
 
 
 def test_the_answer_is_printed_even_if_a_file_cannot_be_written(menid: Menid) -> None:
-    result = menid("solve", problem("hdd/bench"), "-o", "nowhere/p.json")
+    result = menid("solve", problem("hdd/bench"), "-o", "/dev/full")
     assert result.exit_code == 2
     assert "status            solved" in result.output
-    assert "nowhere" in result.output
+    assert "/dev/full" in result.output
+
+
+WIDE = (
+    "param e = 1e-12 predicate far predicate won predicate lost "
+    "action go { rule out { when not far and not won and not lost outcomes { y: 1 far } } "
+    "rule back { when far and not won and not lost outcomes { "
+    "home: (1 - 2 * e) not far win: (e) won fail: (e) lost } } } "
+    "action bet { rule bet { when not far and not won and not lost outcomes { "
+    "win: 0.25 won reward 5 fail: 0.75 lost reward 5 } } } problem p for d goal won"
+)
+CANCEL = (
+    "predicate x predicate y action loop { rule g { when not y outcomes { "
+    "w: 0.1 x reward 0.9 l: 0.9 not x reward -0.1 } } } "
+    "action leave { rule g { when not y outcomes { w: 1 y reward 5 } } } problem p for d"
+)
+LONG = (
+    "predicate won predicate lost action gamble { rule g { when not won and not lost outcomes { "
+    "w: 0.5 won l: 0.5 lost } } } action wait { rule g { when not won and not lost outcomes { "
+    "w: 1e-16 won l: 0.9999999999999999 nothing } } } "
+    "problem p for d goal won horizon 1000000000000000"
+)
+OVERFLOW = (
+    "predicate a predicate won action x cost 1 { rule x { when not a outcomes { "
+    "y: 0.5 a n: 0.5 nothing reward 1e308 } } } "
+    "action z { rule z { when a and not won outcomes { y: 0.5 won n: 0.5 not a } } } "
+    "problem p for d goal won reward 1e308"
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "arguments", "code", "status"),
+    [
+        (WIDE, [], 6, "limit"),  # no row can be told to be the best: nothing is claimed
+        (CANCEL, [], 0, "solved"),  # what cancels up to rounding does not add up for ever
+        (LONG, ["--objective", "goal-probability"], 6, "limit"),
+        (OVERFLOW, [], 6, "limit"),
+        (OVERFLOW, ["--solver", "policy-iteration"], 6, "limit"),
+    ],
+    ids=["wide", "cancel", "long", "overflow", "overflow-pi"],
+)
+def test_numbers_that_doubles_cannot_tell_apart(
+    text: str, arguments: list[str], code: int, status: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "d.menid"
+    file.write_text(f"domain d {text}\n", encoding="utf-8")
+    result = CliRunner().invoke(main, ["solve", str(file), "--json", *arguments])
+    assert result.exit_code == code, result.output
+    found = json.loads(result.stdout)
+    assert found["status"] == status
+    if text is CANCEL:
+        assert found["value"] == pytest.approx(5)
+    if text is LONG:
+        assert found["lower"] <= 0.548 <= found["upper"]
+
+
+def test_outputs_are_not_written_over_inputs_or_each_other(tmp_path: Path) -> None:
+    file = tmp_path / "d.menid"
+    file.write_text(f"domain d {CANCEL}\n", encoding="utf-8")
+    before = file.read_text(encoding="utf-8")
+    other = str(tmp_path / "x.json")
+    for arguments, said in (
+        (["-o", str(file)], "is an input"),
+        (["-o", other, "--dot", other], "is to be written already"),
+        (["-o", str(tmp_path / "none" / "x.json")], "there is no folder"),
+    ):
+        result = CliRunner().invoke(main, ["solve", str(file), *arguments])
+        assert result.exit_code == 2
+        assert said in result.output
+    assert file.read_text(encoding="utf-8") == before

@@ -65,6 +65,20 @@ def setting_option(function: _Command) -> _Command:
     return option(function)
 
 
+def distinct_outputs(inputs: Iterable[str], *outputs: Path | None) -> None:
+    """Refuse to write over what is read, or twice to one file, or where there is no folder."""
+    taken = {Path(name).resolve(): f"`{name}` is an input" for name in inputs if name != "-"}
+    for output in outputs:
+        if output is None:
+            continue
+        place = output.resolve()
+        if place in taken:
+            raise click.UsageError(f"cannot write `{output}`: {taken[place]}")
+        if not place.parent.is_dir():
+            raise click.UsageError(f"cannot write `{output}`: there is no folder `{output.parent}`")
+        taken[place] = f"`{output}` is to be written already"
+
+
 def installed(requirement: str) -> bool:
     """Whether a package is there, of whatever version (``stormpy>=2``)."""
     from importlib.metadata import PackageNotFoundError, version
@@ -154,10 +168,16 @@ def replace_file(path: Path, data: bytes) -> None:
     """Write a file in one step: a reader, or a crash, sees the old content or the new."""
     target = path.resolve()  # a link stays a link
     if target.exists() and not target.is_file():  # a device or a pipe can't be replaced
-        target.write_bytes(data)
+        try:
+            target.write_bytes(data)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(path)) from error
         return
     mode = stat.S_IMODE(target.stat().st_mode) if target.exists() else 0o666 & ~_umask()
-    handle, name = tempfile.mkstemp(prefix=".menid.", dir=target.parent)
+    try:
+        handle, name = tempfile.mkstemp(prefix=".menid.", dir=target.parent)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(data)

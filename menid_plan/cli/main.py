@@ -64,6 +64,12 @@ class _LazyGroup(click.Group):
         except MenidError as error:
             click.echo(f"menid: {error}", err=True)
             ctx.exit(error.exit_code)
+        except MemoryError:
+            click.echo("menid: out of memory", err=True)
+            ctx.exit(6)
+        except KeyboardInterrupt:
+            click.echo("menid: interrupted", err=True)
+            ctx.exit(6)
         except BrokenPipeError:
             # The reader of our output is gone; keep Python from complaining about it at exit.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

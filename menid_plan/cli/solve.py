@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from menid_plan.cli.common import json_option, load_both, opened, replace_file
+from menid_plan.cli.common import distinct_outputs, json_option, load_both, opened, replace_file
 from menid_plan.cli.tasks import Display, build, solve, task_options
 from menid_plan.errors import MenidError
 
@@ -60,6 +60,7 @@ def command(
     from menid_plan.mdp.explore import warm
     from menid_plan.planning import Task
 
+    distinct_outputs(files, output, dot, png)
     task = Task(
         domain, problem, environment, settings, "sink" if noise == "sink" else "stay", max_states
     )

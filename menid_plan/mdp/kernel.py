@@ -333,12 +333,18 @@ def fill(
     slot_reward: Any, arrival: Any, state_reward: Any, action_cost: Any, row_action: Any,
     probability: Any, row_reward: Any,
 ) -> None:  # fmt: skip
-    """Write each transition's probability, and what each row pays on average."""
+    """Write each transition's probability, and what each row pays on average.
+
+    A mean that is nothing but what rounding leaves of terms that cancel is 0.
+    """
     for state in range(len(state_row) - 1):
         for row in range(state_row[state], state_row[state + 1]):
             paid = state_reward[state] - action_cost[row_action[row]]
+            size = abs(state_reward[state]) + abs(action_cost[row_action[row]])
             for entry in range(row_transition[row], row_transition[row + 1]):
                 chance = slot_chance[slot[entry]]
                 probability[entry] = chance
-                paid += chance * (slot_reward[slot[entry]] + arrival[next_state[entry]])
-            row_reward[row] = paid
+                on_arrival = arrival[next_state[entry]]
+                paid += chance * (slot_reward[slot[entry]] + on_arrival)
+                size += chance * (abs(slot_reward[slot[entry]]) + abs(on_arrival))
+            row_reward[row] = paid if abs(paid) > 4e-16 * size else 0.0

@@ -45,7 +45,7 @@ def solve_horizon(
     policy = np.full(n, -1, np.int32)
     longest = int(np.max(np.diff(mdp.row_transition), initial=0))
     size = float(np.max(np.abs(reward[rows]), initial=0.0))
-    error = 0.0
+    error = once = 0.0
     done = 0
     settled = False
     try:
@@ -60,7 +60,8 @@ def solve_horizon(
             done += 1
             limits.iterations += 1
             largest = float(np.max(np.abs(value[np.isfinite(value)]), initial=0.0))
-            error = error * discount + ROUNDING * (longest + 4) * (largest + size)
+            once = ROUNDING * (longest + 4) * (largest + size)
+            error = error * discount + once
             keep = done * n * kind().itemsize <= policy_bytes
             if not keep:
                 kept.clear()
@@ -72,6 +73,12 @@ def solve_horizon(
     except KeyboardInterrupt:
         limits.interrupted = True
     complete = done == horizon or settled
+    if settled and done < horizon:
+        # Each step that was spared may have changed the values by less than what is rounded off.
+        left = float(horizon - done)
+        if discount < 1.0:
+            left = min(left, 1.0 / (1.0 - discount))
+        error += once * min(left, _longest_run(mdp, rows, done + 1000))
     lower, upper = _bounds(value, reward[rows], discount, error, 0 if complete else horizon - done)
     if objective == "goal-probability":
         # What is reached within fewer steps is reached; 0 stays exact.
@@ -114,6 +121,23 @@ def solve_horizon(
         )
         return replace(solution, message=message)
     return solution
+
+
+def _longest_run(mdp: MDP, rows: Bools, most: int) -> float:
+    """The largest expected number of steps until nothing goes on; inf if so many do not tell."""
+    value, zero = np.zeros(mdp.states), np.zeros(mdp.states)
+    policy = np.empty(mdp.states, np.int32)
+    ones = np.ones(mdp.rows)
+    for _ in range(most):
+        after = np.empty(mdp.states)
+        settled = step_back(
+            mdp.state_row, mdp.row_transition, mdp.next_state, mdp.probability, rows, ones, 1.0,
+            False, value, zero, zero, after, np.empty(mdp.states), np.empty(mdp.states), policy,
+        )  # fmt: skip
+        if settled:
+            return float(value.max(initial=0.0)) + 1.0
+        value = after
+    return np.inf
 
 
 def rows_of_states(mdp: MDP, rows: Bools) -> Bools:

@@ -69,7 +69,7 @@ def _steps(
     lower, upper = -stage.upper, -stage.lower
     lower[~sure] = upper[~sure] = np.inf
     stage.policy[~sure] = lowest_rows(mdp, rows)[~sure]
-    stage.lower, stage.upper = np.maximum(lower, 0.0), upper
+    stage.lower, stage.upper = np.maximum(lower, 0.0), upper + 0.0
     if not sure[mdp.initial]:
         stage.status = "infeasible"
         stage.message = "no policy reaches the goal with probability 1"
@@ -92,6 +92,17 @@ def _goal_then_reward(
         open_states = ~(mdp.goal | reached.never)
         stage.lower = np.where(open_states, -np.inf, 0.0)
         stage.upper = np.where(open_states, np.inf, 0.0)
+        return _solution(options, mdp, "goal-then-reward", stage, limits, chance)
+    width = float(np.max(reached.stage.upper - reached.stage.lower, initial=0.0))
+    if width > options.tie:  # which rows have the highest probability cannot be told
+        stage, chance = reached.stage, _middle(reached.stage)
+        stage.status = "limit"
+        stage.message = (
+            f"the goal's probability can be told within {width:.3g} only, so that rewards cannot "
+            "decide between policies"
+        )
+        stage.lower = np.where(mdp.goal | reached.never, 0.0, -np.inf)
+        stage.upper = np.where(mdp.goal | reached.never, 0.0, np.inf)
         return _solution(options, mdp, "goal-then-reward", stage, limits, chance)
     best = reached.best_rows(mdp, rows)
     ends = mdp.goal | reached.never

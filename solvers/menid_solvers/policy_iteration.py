@@ -29,15 +29,18 @@ class PolicyIteration:
     better by more than ``tie`` (relative to the largest value). Then a policy that would never end
     shows that the reward is unbounded: along its recurrent states the mean reward is above 0
     (Bertsekas and Tsitsiklis 1991). No finite horizon, and no end component in which rewards of both
-    signs cancel. The bounds are the value of the policy and an estimate of the rounding.
+    signs cancel. The bounds are the value of the policy and an estimate of what rounding and the
+    rows that were not worth a change may come to; where they are more than ``epsilon`` apart the
+    status is ``limit``.
     """
 
     name: ClassVar[str] = "policy-iteration"
-    promise: ClassVar[str] = "the best policy's value up to the rounding of linear solves"
+    promise: ClassVar[str] = "the best policy's value up to rounding, as estimated"
     needs: ClassVar[str] = ""
 
+    epsilon: float = 1e-6
     max_iterations: int = 1000
-    tie: float = 1e-11
+    tie: float = 1e-13
 
     def solve(
         self,
@@ -70,6 +73,7 @@ class _Run:
         self.begin = time.perf_counter()
         self.iterations = 0
         self.stopped = False
+        self.stay = np.zeros(mdp.states)  # steps that the policy last evaluated takes
         self.state = np.repeat(np.arange(mdp.states, dtype=np.int32), np.diff(mdp.state_row))
         self.rows: Bools = ~mdp.goal[self.state]
         self.matrix: csr_matrix = csr_matrix(
@@ -94,11 +98,16 @@ class _Run:
             lower, upper, policy, chance = self.goal_then_reward()
         status: Status = "solved"
         message = ""
+        lower = np.nan_to_num(lower, nan=-np.inf, posinf=np.inf, neginf=-np.inf)
+        upper = np.nan_to_num(upper, nan=np.inf, posinf=np.inf, neginf=-np.inf)
+        low, high = float(lower[mdp.initial]), float(upper[mdp.initial])
         if self.objective == "steps" and lower[mdp.initial] == np.inf:
             status, message = "infeasible", "no policy reaches the goal with probability 1"
         elif lower[mdp.initial] == np.inf:
             status, message = "unbounded", "the sum of rewards has no upper bound"
-        elif self.stopped:
+        elif low != high and not high - low <= self.options.epsilon:
+            status, message = "limit", "linear systems cannot be solved closely enough here"
+        if self.stopped:
             status, message = "limit", f"stopped after {self.iterations} iterations"
             upper = np.full(mdp.states, np.inf)
             lower = np.full(mdp.states, -np.inf)
@@ -200,6 +209,7 @@ class _Run:
             )
         lower, upper, first = self.goal()
         chance = (lower + upper) / 2
+        self.stopped |= not bool(np.all(upper - lower <= 1e-8))
         possible = self.graph.reaching(self.rows, mdp.goal)
         best = self.rows & possible[self.state]
         best &= self.matrix @ chance >= chance[self.state] - 1e-9
@@ -258,7 +268,10 @@ class _Run:
             better = best > value + margin
             better &= np.isfinite(value)
             if not bool(better.any()):
-                return value - error, value + error, policy
+                # What rows are better by is to be had at every step on the way.
+                told = np.isfinite(value) & np.isfinite(best)
+                gain = float(np.max(best[told] - value[told], initial=0.0))
+                return value - error, value + error + gain * self.stay, policy
             top = np.flatnonzero((worth >= best[owner]) & better[owner])[::-1]
             policy = policy.copy()
             policy[better] = -1
@@ -268,6 +281,8 @@ class _Run:
 
     def endless(self, rows: Bools, policy: SmallInts) -> tuple[Floats, Floats, SmallInts]:
         """Values where the improved policy collects rewards for ever."""
+        if self.objective in ("goal-probability", "steps"):
+            self.stopped = True  # no sums grow there: the numbers were not good enough
         growing = ~self.ends(policy)
         reaches = self.graph.reaching(rows, growing)
         lower = np.where(reaches, np.inf, -np.inf)
@@ -287,6 +302,7 @@ class _Run:
 
         moving: Ints = np.flatnonzero(policy >= 0)
         if len(moving) == 0:
+            self.stay = np.zeros(len(known))
             return known.copy(), np.zeros(len(known))
         if discount == 1.0 and not bool(self.ends(policy).all()):
             return None
@@ -297,12 +313,15 @@ class _Run:
         right = np.column_stack((constant, np.ones(len(moving))))
         system = (identity(len(moving), format="csr") - inner).tocsc()
         answer = _linear_solve(system, right, discount < 1.0)
-        residual = np.max(np.abs(constant + inner @ answer[:, 0] - answer[:, 0]))
+        with np.errstate(all="ignore"):  # overflow ends in bounds that say so
+            residual = np.max(np.abs(constant + inner @ answer[:, 0] - answer[:, 0]))
         value = known.copy()
         value[moving] = answer[:, 0]
         error = np.zeros(len(known))
         size = 1e-15 * (1.0 + float(np.max(np.abs(answer[:, 0]))))
-        error[moving] = (residual + size) * np.abs(answer[:, 1])
+        self.stay = np.zeros(len(known))
+        self.stay[moving] = np.abs(answer[:, 1])
+        error[moving] = (residual + size) * self.stay[moving]
         return value, error
 
 

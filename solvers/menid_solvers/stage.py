@@ -84,6 +84,9 @@ def solve_core(
 
 def gap_status(stage: Stage, mdp: MDP, epsilon: float) -> None:
     """Say ``limit`` if the initial state's bounds are wider than epsilon."""
+    # What overflowed says nothing.
+    stage.lower = np.nan_to_num(stage.lower, nan=-np.inf, posinf=np.inf, neginf=-np.inf)
+    stage.upper = np.nan_to_num(stage.upper, nan=np.inf, posinf=np.inf, neginf=-np.inf)
     low, high = stage.lower[mdp.initial], stage.upper[mdp.initial]
     if stage.status == "solved" and low != high and not high - low <= epsilon:
         stage.status = "limit"

@@ -22,6 +22,8 @@ from menid_plan.solving import (
     UnsupportedError,
 )
 
+MAX_HORIZON = 1_000_000
+
 
 @dataclass(frozen=True, slots=True)
 class Storm:
@@ -51,6 +53,8 @@ class Storm:
     ) -> Solution:
         """Solve by Storm; MissingDependencyError without stormpy."""
         begin = time.perf_counter()
+        if mdp.horizon is not None and mdp.horizon > MAX_HORIZON:
+            raise UnsupportedError(f"storm takes every step; no horizon above {MAX_HORIZON}")
         if mdp.horizon is not None and objective == "goal-then-reward":
             raise UnsupportedError("storm cannot put the goal before the reward within a horizon")
         rows = np.repeat(~mdp.goal, np.diff(mdp.state_row))
