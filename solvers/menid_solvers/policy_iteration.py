@@ -254,7 +254,7 @@ class _Run:
             self.iterations += 1
             solved = self.evaluate(policy, reward, known, discount)
             if solved is None:
-                return self.endless(rows, policy)
+                return self.endless(rows, reward, known, discount, policy, may_stop)
             value, error = solved
             if self.progress is not None:
                 self.progress(self.iterations, float(value[self.mdp.initial]), np.inf)
@@ -279,14 +279,24 @@ class _Run:
         self.stopped = True
         return value - error, value + error, policy
 
-    def endless(self, rows: Bools, policy: SmallInts) -> tuple[Floats, Floats, SmallInts]:
-        """Values where the improved policy collects rewards for ever."""
+    def endless(
+        self,
+        rows: Bools,
+        reward: Floats,
+        known: Floats,
+        discount: float,
+        policy: SmallInts,
+        may_stop: Bools | None,
+    ) -> tuple[Floats, Floats, SmallInts]:
+        """Go on where the improved policy collects rewards for ever: those states are worth inf."""
         if self.objective in ("goal-probability", "steps"):
             self.stopped = True  # no sums grow there: the numbers were not good enough
-        growing = ~self.ends(policy)
-        reaches = self.graph.reaching(rows, growing)
-        lower = np.where(reaches, np.inf, -np.inf)
-        return lower, np.full(self.mdp.states, np.inf), policy
+        reaches = self.graph.reaching(rows, ~self.ends(policy))
+        lower, upper, rest = self.improve(
+            rows & ~reaches[self.state], reward, np.where(reaches, np.inf, known), discount,
+            np.where(reaches, -1, policy).astype(np.int32), may_stop,
+        )  # fmt: skip
+        return lower, upper, np.where(reaches, policy, rest).astype(np.int32)
 
     def ends(self, policy: SmallInts) -> Bools:
         """From which states (bool[n]) the policy can come to one where it has no row."""
