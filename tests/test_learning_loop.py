@@ -240,9 +240,9 @@ def test_a_test_that_cannot_be_put_into_the_state(stage: Stage) -> None:
 
 @pytest.mark.parametrize("fault", ["exit", "hang", "unknown-atom", "nan", "list", "raise"])
 def test_tests_that_crash_hang_or_tell_nonsense(stage: Stage, fault: str) -> None:
-    spec = {"retries": 0, "timeout": 0.3}
+    spec = {"retries": 0, "timeout": 0.1}
     run = stage.run(
-        stage.kind("moves", "works"), {"model": Faulty(fault, every=2)}, steps=1, test_time=3.0,
+        stage.kind("moves", "works"), {"model": Faulty(fault, every=2)}, steps=1, test_time=2.0,
         spec=spec, workers=1,
     )  # fmt: skip
     seen = [e for e in stored(stage.folder / "run") if e.environment == "model"]
@@ -419,7 +419,9 @@ def test_such_a_target_may_be_elsewhere_when_the_run_is_resumed(stage: Stage) ->
 
 def test_an_update_costs_the_same_however_much_is_known(stage: Stage) -> None:
     """What is counted: estimates that are made anew, and reads of the store."""
-    evidence = run_of(stage.folder / "run", bound(stage.kind("moves"), {}), steps=1).evidence
+    run = run_of(stage.folder / "run", bound(stage.kind("moves"), {}), steps=1)
+    run.close()
+    evidence = run.evidence
     posterior = evidence.estimator.posterior
     asked: list[int] = []
 

@@ -323,7 +323,7 @@ def test_killed_at_any_point_and_resumed(tmp_path: Path, greenhouse: Any) -> Non
     chance = random.Random(7)
     workers: set[int] = set()
     done = []
-    for kill in range(12):
+    for kill in range(10):
         process = learner.start()
         if kill % 4 == 0:  # at any time, while it starts or repeats what was done
             time.sleep(chance.uniform(0.2, 1.2))
@@ -338,7 +338,7 @@ def test_killed_at_any_point_and_resumed(tmp_path: Path, greenhouse: Any) -> Non
         process.kill()
         process.communicate()
         done.append(learner.points())
-    assert len(set(done)) >= 9
+    assert len(set(done)) >= 7
     assert done[-1] < learner.points(greenhouse[1])
     deadline = time.monotonic() + 10
     while any(map(alive, workers)) and time.monotonic() < deadline:

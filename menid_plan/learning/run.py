@@ -110,11 +110,16 @@ class Run:
                 bound, settings.seed, attributor, self.evidence, self.store, self.events, workers,
                 tests=settings.test_time > 0.0, reported=reported,
             )  # fmt: skip
+            opened.callback(executions.close)
             self.loop = Loop(
                 bound, settings, self.evidence, self.planner, attributor, executions, clock,
                 self._point,
             )  # fmt: skip
             self._opened = opened.pop_all()
+
+    def close(self) -> None:
+        """Let go of the folder and the workers; `learn` does so itself, and may not be called then."""
+        self._opened.close()
 
     def learn(self) -> Progress:
         """Learn to the end of the run; what was learned is written however it ends.
