@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from menid_plan.cli.common import checked, existing_file, json_option, opened, print_plain, table
+from menid_plan.cli.common import (
+    checked,
+    distinct_outputs,
+    existing_file,
+    json_option,
+    opened,
+    print_plain,
+    table,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -55,6 +63,7 @@ def command(
 
     STORE is the file of a run, or its folder. The counts of a store are added to those of the domain.
     """
+    distinct_outputs([domain_file], output)
     evidence, roles = _evidence(domain_file, store, name, m, prior_weight)
     keys = [key for key in evidence.keys if evidence.counts(key).any()]
     try:
