@@ -27,13 +27,13 @@ MAX_HORIZON = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class Storm:
-    """Storm with its sound methods (intervals), absolute precision ``epsilon``.
+    """Storm with its sound methods (intervals); ``epsilon`` is how far apart the bounds may be.
 
     ``tie``: how exactly goal probabilities are told apart before rewards decide.
 
     Storm has no total of rewards of both signs without discount, and no discount together with a
     horizon: UnsupportedError. Its discounted values come without bounds; they are given as the value
-    and epsilon to both sides.
+    and half of epsilon to both sides.
     """
 
     name: ClassVar[str] = "storm"
@@ -72,7 +72,7 @@ class Storm:
             status, message = "infeasible", "no policy reaches the goal with probability 1"
         elif low == np.inf:
             status, message = "unbounded", "the sum of rewards has no upper bound"
-        elif low != high and not high - low <= 2.001 * self.epsilon:
+        elif low != high and not high - low <= 1.001 * self.epsilon:
             status, message = "limit", "Storm's own bounds are wider than epsilon"
         return Solution(
             status=status,
@@ -221,7 +221,7 @@ class StormModel:
         stormpy, _, _ = import_stormpy()
         environment = stormpy.environments.sound()
         settings = environment.solver().min_max()
-        settings.precision = stormpy.Rational(repr(epsilon))
+        settings.precision = stormpy.Rational(repr(epsilon / 2))
         settings.relative_termination_criterion = False
         result = stormpy.model_checking(
             self.model,
@@ -230,7 +230,7 @@ class StormModel:
             environment=environment,
         )
         value = np.array(result.get_value_vector(), dtype=np.float64)
-        lower, upper = value - epsilon, value + epsilon
+        lower, upper = value - epsilon / 2, value + epsilon / 2
         policy = np.full(len(value), -1, np.int32)
         if result.has_scheduler():
             scheduler = result.get_scheduler()
