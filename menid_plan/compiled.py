@@ -124,7 +124,8 @@ class Kernel:
     @cached_property
     def key(self) -> str:
         """A hash of all that the compiled code depends on but the machine."""
-        parts = [self.signature, str(self.inline), version("numba"), _source_hash(self.function)]
+        source = _file_hash(self.function.__code__.co_filename)
+        parts = [self.signature, str(self.inline), version("numba"), source]
         for name, value in self._used.items():
             parts.append(value.key if isinstance(value, Kernel) else f"{name}={value!r}")
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
@@ -286,7 +287,3 @@ def _announce() -> None:
 @lru_cache(maxsize=64)
 def _file_hash(path: str) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
-
-
-def _source_hash(function: FunctionType) -> str:
-    return _file_hash(function.__code__.co_filename)

@@ -65,6 +65,11 @@ class MDP:
         """How many entries of rows."""
         return len(self.next_state)
 
+    @property
+    def row_state(self) -> SmallInts:
+        """The state of each row (int32[r]); made anew each time it is asked for."""
+        return np.repeat(np.arange(self.states, dtype=np.int32), np.diff(self.state_row))
+
     def arrays(self) -> tuple[NDArray[Any], ...]:
         """The arrays in the order of the module's table."""
         return (

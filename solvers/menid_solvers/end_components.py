@@ -61,7 +61,7 @@ def tell_endings(mdp: MDP, graph: Graph, rows: Bools, reward: Floats) -> Endings
         growing[in_one] = (pays & ~costs)[component[in_one]]
         for mixed in np.flatnonzero(pays & costs):
             members = np.flatnonzero(component == mixed).astype(np.int32)
-            sign = _gain_sign(mdp, within, reward, members, potential)
+            sign = _gain_sign(graph, within, reward, members, potential)
             growing[members] = sign == 1
             unsure[members] = sign is None
     else:
@@ -81,17 +81,18 @@ def tell_endings(mdp: MDP, graph: Graph, rows: Bools, reward: Floats) -> Endings
 
 
 def _gain_sign(
-    mdp: MDP, within: Bools, reward: Floats, members: SmallInts, potential: Floats
+    on: Graph, within: Bools, reward: Floats, members: SmallInts, potential: Floats
 ) -> int | None:
     """1, 0 or -1; None if it cannot be told. Where it is 0, writes the members' potential."""
+    mdp, row_state = on.mdp, on.row_state
     graph = (mdp.state_row, mdp.row_transition, mdp.next_state, mdp.probability, within, reward)
-    of_members = within & np.isin(_row_state(mdp), members)
+    of_members = within & np.isin(row_state, members)
     scale = float(np.max(np.abs(reward[of_members])))
     h = np.zeros(mdp.states)
     if kernels.potential(*graph, members, 2 * len(members) + 2, h):
         expected = np.zeros(mdp.rows)
         kernels.expect(mdp.row_transition, mdp.next_state, mdp.probability, of_members, h, expected)
-        left = (reward + expected - h[_row_state(mdp)])[of_members]
+        left = (reward + expected - h[row_state])[of_members]
         if bool(np.all((left == 0.0) | (left < -1e-9 * scale))):
             potential[members] = h[members]
             return 0 if bool(np.any(left == 0.0)) else -1
@@ -101,7 +102,3 @@ def _gain_sign(
     if least > margin:
         return 1
     return -1 if most < -margin else None
-
-
-def _row_state(mdp: MDP) -> SmallInts:
-    return np.repeat(np.arange(mdp.states, dtype=np.int32), np.diff(mdp.state_row))

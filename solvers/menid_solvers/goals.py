@@ -43,7 +43,7 @@ class GoalStage:
         """
         if self.settled:
             return self.sure_rows
-        row_state = np.repeat(np.arange(mdp.states, dtype=np.int32), np.diff(mdp.state_row))
+        row_state = mdp.row_state
         between = rows & ~(self.sure | self.never)[row_state]
         expected = np.zeros(mdp.rows)
         kernels.expect(

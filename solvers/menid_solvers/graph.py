@@ -31,7 +31,7 @@ class Graph:
     @cached_property
     def row_state(self) -> SmallInts:
         """The state of each row (int32[r])."""
-        return np.repeat(np.arange(self.mdp.states, dtype=np.int32), np.diff(self.mdp.state_row))
+        return self.mdp.row_state
 
     @cached_property
     def predecessors(self) -> tuple[Ints, SmallInts]:

@@ -74,7 +74,7 @@ class _Run:
         self.iterations = 0
         self.stopped = False
         self.stay = np.zeros(mdp.states)  # steps that the policy last evaluated takes
-        self.state = np.repeat(np.arange(mdp.states, dtype=np.int32), np.diff(mdp.state_row))
+        self.state = mdp.row_state
         self.rows: Bools = ~mdp.goal[self.state]
         self.matrix: csr_matrix = csr_matrix(
             (mdp.probability, mdp.next_state, mdp.row_transition), shape=(mdp.rows, mdp.states)

@@ -134,7 +134,7 @@ class Storm:
         low, high, first = finer._plain(mdp, rows, "goal-probability")
         chance = (low + high) / 2
         reach = np.add.reduceat(mdp.probability * chance[mdp.next_state], mdp.row_transition[:-1])
-        state = np.repeat(np.arange(mdp.states), np.diff(mdp.state_row))
+        state = mdp.row_state
         hopeful = chance > self.tie
         best = rows & hopeful[state] & (reach >= chance[state] - self.tie)
         negative = not bool(np.any(mdp.row_reward[best] > 0.0))
@@ -172,7 +172,7 @@ class StormModel:
         choices = np.maximum(counts, 1)
         first = np.concatenate(([0], np.cumsum(choices)))
         source = np.full(first[-1], -1, np.int64)
-        state = np.repeat(np.arange(mdp.states), np.diff(mdp.state_row))
+        state = mdp.row_state
         kept = np.flatnonzero(rows)
         place = first[state[kept]] + np.arange(len(kept)) - np.cumsum(counts)[state[kept]]
         place += counts[state[kept]]
