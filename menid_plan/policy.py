@@ -15,9 +15,10 @@ import numpy as np
 from menid_plan.errors import LimitError, MenidError
 from menid_plan.grounding.semantics import Noise
 from menid_plan.grounding.state import GroundAction, State
+from menid_plan.mdp.distance import spans
 from menid_plan.mdp.explore import Structure
 from menid_plan.mdp.model import MDP, Ints
-from menid_plan.simulation import Chooser, Simulator, spans
+from menid_plan.simulation import Chooser, Simulator
 from menid_plan.solving import Objective, Solution, Status
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from menid_plan.errors import MeaningError
 from menid_plan.grounding.state import SINK, state_text
+from menid_plan.mdp.distance import goal_distance
 from menid_plan.mdp.explore import Structure
 from menid_plan.mdp.model import MDP, Bools, Floats, Ints, SmallInts
 from menid_plan.memory import demand
@@ -234,21 +235,7 @@ class Simulator:
         Of a state from which it cannot be reached, the largest int64: the goal is out of reach where
         this is more than the steps that are left.
         """
-        mdp = self.mdp
-        distance = np.full(mdp.states, np.iinfo(np.int64).max)
-        happens = np.flatnonzero(mdp.probability > 0.0)
-        into = happens[np.argsort(mdp.next_state[happens], kind="stable")]
-        first = np.searchsorted(mdp.next_state[into], np.arange(mdp.states + 1))
-        rows = np.searchsorted(mdp.row_transition, into, side="right") - 1
-        before = np.searchsorted(mdp.state_row, rows, side="right") - 1
-        front = np.flatnonzero(mdp.goal)
-        steps = 0
-        while len(front):
-            distance[front] = steps
-            found = np.unique(before[spans(first, front)])
-            front = found[distance[found] > steps]
-            steps += 1
-        return distance
+        return goal_distance(self.mdp)
 
     def _pays(self, states: Ints, rows: Ints, drawn: Ints) -> Floats:
         """What steps pay (float64)."""
@@ -287,14 +274,6 @@ class Simulator:
         text = "sink" if state is SINK else state_text(state - self.structure.problem.always)
         steps = "" if left is None else f" with {left} step{'s' * (left != 1)} left"
         return f"{who} has no action{steps} in the state {text}, which an episode reaches"
-
-
-def spans(first: Ints, items: Ints) -> Ints:
-    """The numbers ``first[i]``, ..., ``first[i + 1] - 1`` of every item i, one after the other."""
-    begin, end = first[items], first[items + 1]
-    sizes = end - begin
-    offsets = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    return np.asarray(np.repeat(begin, sizes) + offsets, np.int64)
 
 
 def _traces(kept: list[tuple[Ints, Ints, Ints, Floats]], steps: Ints) -> Traces:

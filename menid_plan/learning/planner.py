@@ -12,6 +12,7 @@ import numpy as np
 from menid_plan.grounding.ground import GroundProblem, ground
 from menid_plan.grounding.state import GroundAction, State
 from menid_plan.learning.counts import Evidence, SlotBelief
+from menid_plan.mdp.distance import goal_distance
 from menid_plan.mdp.explore import MAX_STATES, Structure, explore
 from menid_plan.mdp.model import MDP, Floats, Ints
 from menid_plan.model.domain import Domain, Problem
@@ -97,7 +98,7 @@ class Planner:
             return False
         model, number = self._model(state)
         distance = int(model.goal_distance[number])
-        return distance < 0 or (left is not None and distance > left)
+        return distance > (model.structure.states if left is None else left)
 
     def _model(self, state: State) -> tuple[_Model, int]:
         """A model that contains a state, and the state's number in it."""
@@ -196,19 +197,9 @@ class _Model:
 
     @cached_property
     def goal_distance(self) -> Ints:
-        """The least number of steps to a goal (int64[n]), whatever outcomes it takes; -1: no way."""
-        structure = self.structure
-        row_state = np.repeat(np.arange(structure.states), np.diff(structure.state_row))
-        origin = np.repeat(row_state, np.diff(structure.row_transition))
-        distance = np.where(structure.goal, 0, -1)
-        steps = 0
-        while True:
-            near = origin[distance[structure.next_state] >= 0]
-            near = near[distance[near] < 0]
-            if len(near) == 0:
-                return distance
-            steps += 1
-            distance[near] = steps
+        """The least number of steps to a goal (int64[n]), whatever outcomes it takes."""
+        slots = self.structure.problem.slots
+        return goal_distance(self.structure.fill(np.ones(slots)))
 
 
 def _row(solution: Solution, number: int, left: int | None) -> int:
