@@ -220,10 +220,13 @@ class Kernel:
     def _compile(self) -> bytes:
         """The object code."""
         import llvmlite.binding as llvm
+        from numba.core.sigutils import normalize_signature
 
         _announce()
         self.dispatcher.compile(self.signature)
-        ((arguments, result),) = self.dispatcher.overloads.items()
+        # Kernels that call this one may have compiled it for other types of theirs.
+        arguments, _ = normalize_signature(self.signature)  # type: ignore[no-untyped-call]
+        result = self.dispatcher.overloads[arguments]
         module = llvm.parse_assembly(self.dispatcher.inspect_llvm(arguments))
         module.link_in(llvm.parse_assembly(_STUBS))
         for function in module.functions:

@@ -124,8 +124,8 @@ class Task:
         """Load what is compiled of a solver, on an MDP of one step."""
         one = np.zeros(1, np.int32)
         mdp = MDP(
-            np.array([0, 1, 1]), one, np.ones(1), np.array([0, 1]), np.ones(1, np.int32),
-            np.ones(1), np.array([False, True]), has_goal=True, discount=0.5,
+            np.array([0, 1, 1]), one, np.ones(1), np.array([0, 1], np.int32), one + 1,
+            np.array([0, 1]), np.ones(1), one, np.array([False, True]), has_goal=True, discount=0.5,
         )  # fmt: skip
         solver.solve(mdp, "reward")
 
@@ -140,7 +140,7 @@ class Task:
 
     def action(self, row: int) -> GroundAction:
         """The ground action of a row."""
-        return self.structure.problem.actions[int(self.mdp.row_action[row])]
+        return self.structure.action(row)
 
     def policy(self, solution: Solution) -> Policy:
         """The states that a solution reaches from the initial one, and what it does in each."""

@@ -123,7 +123,9 @@ def _ended(mdp: MDP, states: Ints) -> Any:
 def _successors(mdp: MDP, rows: Ints) -> Ints:
     """The states (int64, sorted) to which some rows may lead, less those where an episode ends."""
     entries = spans(mdp.row_transition, rows)
-    found = np.unique(mdp.next_state[entries[mdp.probability[entries] > 0.0]]).astype(np.int64)
+    widths = mdp.row_transition[rows + 1] - mdp.row_transition[rows]
+    happens = mdp.kind_probability[entries + np.repeat(mdp.to_probability(rows), widths)] > 0.0
+    found = np.unique(mdp.next_state[entries[happens]]).astype(np.int64)
     return np.asarray(found[~_ended(mdp, found)], np.int64)
 
 
@@ -195,7 +197,7 @@ def policy_of(
         if number != last:
             last, state = number, problem.unpack(structure.words[number]) - problem.always
         left = None if mdp.horizon is None else (least, most)
-        entries.append(Entry(state, problem.actions[int(mdp.row_action[row])], left))
+        entries.append(Entry(state, structure.action(int(row)), left))
     low, high = float(solution.lower[solution.initial]), float(solution.upper[solution.initial])
     return Policy(
         problem.domain.name, problem.problem.name, environment, dict(params), noise,
@@ -274,7 +276,7 @@ class _Lookup:
             for number, entry in known:
                 begin, end = mdp.state_row[state], mdp.state_row[state + 1]
                 action = self._actions.get(entry.action, -1)
-                row = np.flatnonzero(mdp.row_action[begin:end] == action)
+                row = np.flatnonzero(mdp.kind_action[mdp.row_kind[begin:end]] == action)
                 if len(row) == 0:
                     raise PolicyError(
                         f"`{self.name}`: entry {number}: `{entry.action}` does not apply in its state"

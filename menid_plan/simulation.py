@@ -240,28 +240,30 @@ class Simulator:
     def _pays(self, states: Ints, rows: Ints, drawn: Ints) -> Floats:
         """What steps pay (float64)."""
         structure, mdp = self.structure, self.mdp
-        pays: Floats = structure.state_reward[states] + self._slot_reward[structure.slot[drawn]]
-        pays -= self._cost[mdp.row_action[rows]]
+        pays: Floats = structure.state_reward[states] + self._slot_reward[structure.slot(drawn)]
+        pays -= self._cost[mdp.kind_action[mdp.row_kind[rows]]]
         pays += self._arrival[mdp.next_state[drawn]]
         return pays
 
     def _draw(self, rows: Ints, chance: Floats) -> Ints:
         """The transition of each row at which its probabilities first sum to more than ``chance``."""
         mdp = self.mdp
-        at = mdp.row_transition[rows].copy()
-        last = mdp.row_transition[rows + 1] - 1
-        passed = mdp.probability[at]
+        kinds = mdp.row_kind[rows]
+        first, last = mdp.kind_first[kinds], mdp.kind_first[kinds + 1] - 1
+        at = first.copy()
+        passed = mdp.kind_probability[at]
         on = np.flatnonzero((passed <= chance) & (at < last))
         while len(on):
             at[on] += 1
-            passed[on] += mdp.probability[at[on]]
+            passed[on] += mdp.kind_probability[at[on]]
             on = on[(passed[on] <= chance[on]) & (at[on] < last[on])]
         # Rounding may leave the sum below the chance: then it is the last that can happen.
-        back = np.flatnonzero(mdp.probability[at] == 0.0)
+        back = np.flatnonzero(mdp.kind_probability[at] == 0.0)
         while len(back):
             at[back] -= 1
-            back = back[mdp.probability[at[back]] == 0.0]
-        return at
+            back = back[mdp.kind_probability[at[back]] == 0.0]
+        drawn: Ints = mdp.row_transition[rows] + (at - first)
+        return drawn
 
     def _check(self, states: Ints, rows: Ints, left: int | None) -> None:
         silent = np.flatnonzero(rows < 0)

@@ -38,11 +38,11 @@ def build(
     rows = [row for state in process for row in state]
     goals = np.zeros(len(process), np.bool_)
     goals[list(goal)] = True
-    return MDP(
+    return MDP.of_rows(
         state_row=np.cumsum([0, *(len(state) for state in process)]).astype(np.int64),
         row_action=np.array([a for state in process for a in range(len(state))], np.int32),
         row_reward=np.array([float(reward) for reward, _ in rows], np.float64),
-        row_transition=np.cumsum([0, *(len(entries) for _, entries in rows)]).astype(np.int64),
+        row_transition=np.cumsum([0, *(len(entries) for _, entries in rows)]).astype(np.int32),
         next_state=np.array([t for _, entries in rows for _, t in entries], np.int32),
         probability=np.array([float(p) for _, entries in rows for p, _ in entries], np.float64),
         goal=goals,

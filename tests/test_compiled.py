@@ -131,8 +131,8 @@ def test_two_processes_may_compile_at_once(tmp_path: Path) -> None:
         f"compiled._folders = lambda: (pathlib.Path({str(tmp_path)!r}),);"
         "from menid_solvers.row_kernels import expect;"
         "out = np.zeros(1);"
-        "expect(np.array([0, 1]), np.zeros(1, np.int32), np.ones(1), np.ones(1, bool),"
-        " np.full(1, 5.0), out);"
+        "expect(np.array([0, 1]), np.array([0, 1], np.int32), np.zeros(1, np.int32),"
+        " np.zeros(1, np.int32), np.array([0, 1]), np.ones(1), np.ones(1, bool), np.full(1, 5.0), out);"
         "print(out[0])"
     )
     running = [

@@ -91,8 +91,8 @@ def test_a_long_horizon_is_a_short_file() -> None:
 
 def test_runs_bridge_the_steps_at_which_a_state_is_not_reached() -> None:
     # Two states that are left in turn: each is reached at every other step.
-    mdp = MDP(
-        np.array([0, 1, 2]), np.zeros(2, np.int32), np.zeros(2), np.array([0, 1, 2]),
+    mdp = MDP.of_rows(
+        np.array([0, 1, 2]), np.zeros(2, np.int32), np.zeros(2), np.array([0, 1, 2], np.int32),
         np.array([1, 0], np.int32), np.ones(2), np.zeros(2, np.bool_), horizon=5,
     )  # fmt: skip
     steps = StepPolicy(mdp.state_row, np.zeros((5, 2), np.uint8), 5)

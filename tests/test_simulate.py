@@ -366,7 +366,7 @@ def test_outcomes_come_as_often_as_written() -> None:
         stationary(np.zeros(1, np.int32)), 40_000, np.random.default_rng(1), trace=True
     )
     assert drawn.traces is not None
-    slots = task.structure.slot[drawn.traces.transition]
+    slots = task.structure.slot(drawn.traces.transition)
     rate = np.bincount(slots, minlength=5) / 40_000
     assert rate[1] == rate[4] == 0
     assert np.all(np.abs(rate - [0.5, 0, 0.3, 0.2, 0]) < 4 * np.sqrt(0.25 / 40_000))
@@ -386,7 +386,7 @@ def test_a_chance_beyond_the_sum_gives_the_last_that_can_happen() -> None:
         stationary(np.zeros(1, np.int32)), 2, Highest(np.random.PCG64(1)), trace=True
     )
     assert drawn.traces is not None
-    assert task.structure.slot[drawn.traces.transition].tolist() == [9, 9]
+    assert task.structure.slot(drawn.traces.transition).tolist() == [9, 9]
 
 
 def test_online_policies_are_asked_state_by_state() -> None:

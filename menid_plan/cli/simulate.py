@@ -306,7 +306,7 @@ def _steps(task: Task, drawn: Episodes, episode: int) -> Iterator[dict[str, Any]
         number = int(structure.row_rule[row])
         rule = problem.rules[number]
         distribution = problem.distributions[problem.rule_distribution[number]]
-        slot = int(structure.slot[transition])
+        slot = int(structure.slot(transition))
         after = structure.state(int(mdp.next_state[transition]))
         assert before is not SINK
         arrived = before if after is SINK else after

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from menid_plan.errors import LimitError
 from menid_plan.grounding.state import SINK
 from menid_plan.mdp.explore import Structure
@@ -125,13 +127,13 @@ class _Graph:
         problem = structure.problem
         distribution = problem.distributions[problem.rule_distribution[rule]]
         names = [outcome.name for outcome in distribution.rule.outcomes]
-        for entry in range(
-            int(mdp.row_transition[node.row]), int(mdp.row_transition[node.row + 1])
-        ):
-            chance = float(mdp.probability[entry])
+        first, last = mdp.row_transition[node.row : node.row + 2].tolist()
+        slots = structure.slot(np.arange(first, last)).tolist()
+        chances = mdp.row_probabilities(node.row).tolist()
+        for entry, slot, chance in zip(range(first, last), slots, chances, strict=True):
             if chance == 0.0:
                 continue
-            name = names[int(structure.slot[entry]) - distribution.start]
+            name = names[slot - distribution.start]
             for target in self._targets(node, int(mdp.next_state[entry])):
                 outcomes = node.edges.setdefault(target, {})
                 outcomes[name] = outcomes.get(name, 0.0) + chance
@@ -195,12 +197,11 @@ class _Graph:
                 end = "horizon"
             initial = node.state == mdp.initial
             return Node(labels[node.state], end=end, initial=initial)
-        problem = self.structure.problem
         left = ""
         if mdp.horizon is not None:
             least, most = node.least, node.most
             left = f"{least} left" if least == most else f"{least} to {most} left"
-        action = str(problem.actions[int(mdp.row_action[node.row])])
+        action = str(self.structure.action(node.row))
         initial = node is self.nodes[0]
         return Node(labels[node.state], action, left, initial=initial)
 

@@ -50,13 +50,13 @@ def _merged(mdp: MDP, row: int) -> list[tuple[int, float]]:
     """A row's successors in order, each once, with its probability; those of 0 are left out."""
     span = slice(int(mdp.row_transition[row]), int(mdp.row_transition[row + 1]))
     successors, where = np.unique(mdp.next_state[span], return_inverse=True)
-    chances = np.bincount(where, mdp.probability[span])
+    chances = np.bincount(where, mdp.row_probabilities(row))
     return [(int(s), float(p)) for s, p in zip(successors, chances, strict=True) if p > 0]
 
 
-def _name(structure: Structure, mdp: MDP, row: int) -> str:
+def _name(structure: Structure, row: int) -> str:
     """An action as PRISM and DRN accept it: letters, digits and underscores."""
-    action = structure.problem.actions[int(mdp.row_action[row])]
+    action = structure.action(row)
     return "_".join((action.action, *action.arguments)).replace("-", "_")
 
 
@@ -69,7 +69,7 @@ def _tra(structure: Structure, mdp: MDP) -> Iterator[str]:
         if not rows:
             yield f"{state} 0 {state} 1"
         for choice, row in enumerate(rows):
-            name = _name(structure, mdp, row)
+            name = _name(structure, row)
             for successor, chance in merged[row]:
                 yield f"{state} {choice} {successor} {chance!r} {name}"
 
@@ -149,6 +149,6 @@ def _drn(structure: Structure, mdp: MDP) -> Iterator[str]:
             yield "\taction end [0]"
             yield f"\t\t{state} : 1"
         for row in rows:
-            yield f"\taction {_name(structure, mdp, row)} [{float(mdp.row_reward[row])!r}]"
+            yield f"\taction {_name(structure, row)} [{float(mdp.row_reward[row])!r}]"
             for successor, chance in _merged(mdp, row):
                 yield f"\t\t{successor} : {chance!r}"

@@ -144,7 +144,7 @@ class _Model:
 
     def action(self, row: int) -> GroundAction:
         """The action of a row."""
-        return self.structure.problem.actions[int(self.structure.row_action[row])]
+        return self.structure.action(row)
 
     def row(self, number: int, left: int | None) -> int:
         """The row to take in a state."""

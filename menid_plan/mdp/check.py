@@ -9,15 +9,16 @@ from menid_plan.errors import MeaningError
 from menid_plan.mdp.model import MDP
 
 _TYPES = {
-    "state_row": np.int64, "row_action": np.int32, "row_reward": np.float64,
-    "row_transition": np.int64, "next_state": np.int32, "probability": np.float64, "goal": np.bool_,
+    "state_row": np.int64, "row_kind": np.int32, "row_reward": np.float64,
+    "row_transition": np.int32, "next_state": np.int32, "kind_first": np.int64,
+    "kind_probability": np.float64, "kind_action": np.int32, "goal": np.bool_,
 }  # fmt: skip
 
 
 def faults(mdp: MDP, tolerance: float = 1e-9) -> list[str]:
     """What is wrong with an MDP, in words, each with the first place; empty if it is sound.
 
-    A row's probabilities may miss 1 by ``tolerance``. Later questions are not asked where an earlier
+    A kind's probabilities may miss 1 by ``tolerance``. Later questions are not asked where an earlier
     fault leaves them without meaning.
     """
     found = _wrong_arrays(mdp)
@@ -37,11 +38,16 @@ def faults(mdp: MDP, tolerance: float = 1e-9) -> list[str]:
     _first(found, ~np.isfinite(mdp.row_reward), "row {} has a reward that is not finite")
     outside = (mdp.next_state < 0) | (mdp.next_state >= mdp.states)
     _first(found, outside, f"transition {{}} leads to none of the {mdp.states} states")
-    wrong = ~((mdp.probability >= 0.0) & (mdp.probability <= 1.0 + tolerance))
-    _first(found, wrong, "transition {} has a probability that is not between 0 and 1")
-    if not wrong.any() and mdp.rows:
-        sums = np.add.reduceat(mdp.probability, mdp.row_transition[:-1])
-        _first(found, np.abs(sums - 1.0) > tolerance, "the probabilities of row {} do not sum to 1")
+    chances = mdp.kind_probability
+    used = np.zeros(len(mdp.kind_action), np.bool_)
+    used[mdp.row_kind] = True
+    wrong = ~((chances >= 0.0) & (chances <= 1.0 + tolerance))
+    wrong &= np.repeat(used, np.diff(mdp.kind_first))
+    _first(found, wrong, "probability {} is not between 0 and 1")
+    if not wrong.any() and used.any():
+        sums = np.add.reduceat(np.append(chances, 0.0), mdp.kind_first[:-1])
+        missed = used & (np.abs(sums - 1.0) > tolerance)
+        _first(found, missed, "the probabilities of kind {} do not sum to 1")
     return found
 
 
@@ -69,6 +75,7 @@ def _wrong_offsets(mdp: MDP) -> list[str]:
     for name, offsets, number, things in (
         ("state_row", mdp.state_row, mdp.rows, "rows"),
         ("row_transition", mdp.row_transition, mdp.transitions, "transitions"),
+        ("kind_first", mdp.kind_first, len(mdp.kind_probability), "probabilities"),
     ):
         if len(offsets) == 0 or offsets[0] != 0 or offsets[-1] != number:
             found.append(f"`{name}` must run from 0 to the number of {things}, {number}")
@@ -78,9 +85,16 @@ def _wrong_offsets(mdp: MDP) -> list[str]:
         found.append(f"`row_transition` must have {mdp.rows + 1} entries, one more than rows")
     elif not found and bool(np.any(np.diff(mdp.row_transition) == 0)):
         found.append(f"row {np.diff(mdp.row_transition).argmin()} has no transition")
+    kinds = len(mdp.kind_action)
+    if len(mdp.kind_first) != kinds + 1:
+        found.append(f"`kind_first` must have {kinds + 1} entries, one more than kinds")
+    elif bool(np.any((mdp.row_kind < 0) | (mdp.row_kind >= kinds))):
+        found.append(f"`row_kind` has entries that are none of the {kinds} kinds")
+    elif not found:
+        widths = np.diff(mdp.kind_first)[mdp.row_kind] != np.diff(mdp.row_transition)
+        _first(found, widths, "row {} has not as many transitions as its kind has probabilities")
     for name, array, number in (
         ("row_reward", mdp.row_reward, mdp.rows),
-        ("probability", mdp.probability, mdp.transitions),
         ("goal", mdp.goal, mdp.states),
     ):
         if len(array) != number:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from menid_plan.mdp.model import MDP, Ints
+from menid_plan.mdp.model import MDP, Ints, SmallInts
 
 
 def goal_distance(mdp: MDP) -> Ints:
@@ -29,7 +29,7 @@ def goal_distance(mdp: MDP) -> Ints:
     return distance
 
 
-def spans(first: Ints, items: Ints) -> Ints:
+def spans(first: Ints | SmallInts, items: Ints) -> Ints:
     """The numbers ``first[i]``, ..., ``first[i + 1] - 1`` of every item i, one after the other."""
     begin, end = first[items], first[items + 1]
     sizes = end - begin

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from menid_plan.grounding.ground import GroundProblem, ground
 from menid_plan.grounding.semantics import Noise
-from menid_plan.grounding.state import SINK, NextState
+from menid_plan.grounding.state import SINK, GroundAction, NextState
 from menid_plan.mdp import kernel
 from menid_plan.mdp.model import MDP, Bools, Floats, Ints, SmallInts
 from menid_plan.mdp.search import Progress, Search, of_length
@@ -28,20 +28,20 @@ MAX_STATES = 50_000_000
 class Structure:
     """Reachable states and where each outcome leads; shapes as in `menid_plan.mdp.model`.
 
-    ``words`` (uint64[n, W]) are the packed states, ``row_rule`` (int32[r]) the ground rule of each
-    row and ``row_action`` (int32[r]) its ground action, ``slot`` (int32[t]) the slot of each
-    transition's probability. ``sink`` is the number of the sink, -1 if no step falls into it; it is
-    the last state, its words are 0 and mean nothing.
+    ``words`` (uint64[n, W]) are the packed states; a row's kind (``row_rule``, int32[r]) is its
+    ground rule, and ``kind_slot`` (int32[q]) the slots of a kind's probabilities. ``sink`` is the
+    number of the sink, -1 if no step falls into it; it is the last state, its words are 0 and mean
+    nothing.
     """
 
     problem: GroundProblem
     words: NDArray[np.uint64]
     state_row: Ints
     row_rule: SmallInts
-    row_action: SmallInts
-    row_transition: Ints
+    row_transition: SmallInts
     next_state: SmallInts
-    slot: SmallInts
+    kind_first: Ints
+    kind_slot: SmallInts
     goal: Bools
     state_reward: Floats
     sink: int
@@ -58,6 +58,17 @@ class Structure:
         found: Bools = (np.diff(self.state_row) == 0) & ~self.goal
         return found
 
+    def slot(self, transitions: Ints) -> SmallInts:
+        """The slots of transitions (int64, any shape), by their numbers."""
+        rows = np.searchsorted(self.row_transition, transitions, side="right") - 1
+        first = self.kind_first[self.row_rule[rows]] - self.row_transition[rows]
+        slots: SmallInts = self.kind_slot[first + transitions]
+        return slots
+
+    def action(self, row: int) -> GroundAction:
+        """The ground action of a row."""
+        return self.problem.actions[int(self.problem.tables.rule_action[self.row_rule[row]])]
+
     def state(self, number: int) -> NextState:
         """A state by its number, as a set of atoms."""
         return SINK if number == self.sink else self.problem.unpack(self.words[number])
@@ -67,19 +78,24 @@ class Structure:
         problem = self.problem
         arrival = np.where(self.goal, problem.goal_reward, 0.0)
         arrival[self.dead_end] += problem.dead_end_reward
-        transitions, rows = len(self.next_state), len(self.row_rule)
-        demand(8.0 * (transitions + rows), f"the probabilities of {transitions} transitions")
-        chances, row_reward = np.empty(transitions), np.empty(rows)
-        kernel.fill(
-            self.state_row, self.row_transition, self.next_state, self.slot,
-            np.ascontiguousarray(probabilities), problem.slot_reward, arrival, self.state_reward,
-            problem.action_cost, self.row_action, chances, row_reward,
+        rows = len(self.row_rule)
+        demand(8.0 * rows, f"what {rows} rows pay")
+        row_reward = np.empty(rows)
+        action = problem.tables.rule_action
+        probability = np.asarray(probabilities, np.float64)[self.kind_slot]
+        graph = (
+            self.state_row, self.row_transition, self.next_state, self.row_rule, self.kind_first,
+            probability,
+        )  # fmt: skip
+        kernel.pay(
+            *graph, problem.slot_reward[self.kind_slot], problem.action_cost[action], arrival,
+            self.state_reward, row_reward,
         )  # fmt: skip
         task = problem.problem
         return MDP(
-            self.state_row, self.row_action, row_reward, self.row_transition, self.next_state,
-            chances, self.goal, 0, 1.0 if task.discount is None else task.discount, task.horizon,
-            task.goal is not None,
+            self.state_row, self.row_rule, row_reward, self.row_transition, self.next_state,
+            self.kind_first, probability, action, self.goal, 0,
+            1.0 if task.discount is None else task.discount, task.horizon, task.goal is not None,
         )  # fmt: skip
 
 
@@ -122,10 +138,11 @@ def _structure(search: Search, seconds: float) -> Structure:
     words, goal = of_length(search.words, total), of_length(search.goal, total)
     reward = of_length(search.reward, total)
     words[states:], goal[states:], reward[states:] = 0, False, 0.0
-    row_rule = search.row_rule[:rows]
+    tables = search.problem.tables
+    follows = search.happens[tables.outcome_slot] != kernel.NEVER
+    kind_first = np.concatenate(([0], np.cumsum(follows)))[tables.rule_outcomes]
     return Structure(
-        search.problem, words, state_row, row_rule,
-        search.problem.tables.rule_action[row_rule], search.row_transition[: rows + 1], next_state,
-        search.slot[:transitions], goal, reward,
-        sink, seconds,
+        search.problem, words, state_row, search.row_rule[:rows],
+        search.row_transition[: rows + 1], next_state, kind_first, tables.outcome_slot[follows],
+        goal, reward, sink, seconds,
     )  # fmt: skip

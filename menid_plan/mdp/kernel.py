@@ -162,7 +162,7 @@ def put_numbers(count: int, found_state: Any, number: Any, next_state: Any) -> N
     " u8[:, ::1], i4[:, ::1], i4[::1], i4[::1], i4[::1], i4[::1],"
     " u8[:, ::1], i4[:, ::1], i4[::1], i4[::1], i4[::1], i4[::1],"
     " u1[::1], b1, i4[::1], u8[:, ::1], i8, i8, i8,"
-    " i8[::1], i8[::1], b1[::1], f8[::1], i4[::1], i8[::1], i4[::1], i4[::1], u8[:, ::1],"
+    " i8[::1], i8[::1], b1[::1], f8[::1], i4[::1], i4[::1], i4[::1], u8[:, ::1],"
     " i8[::1], u8[::1], u8[::1], u8[::1], u8[::1], u8[::1], u8[::1], u8[::1],"
     " u8[::1], u8[:, ::1])"
 )
@@ -184,7 +184,7 @@ def expand(
     table: Any, states: Any, first: int, last: int, alone: int,
     # What is found: counts = [next state to expand, rows, transitions, new states, all states].
     counts: Any, state_row: Any, goal: Any, state_reward: Any,
-    row_rule: Any, row_transition: Any, next_state: Any, slot: Any, new: Any, clash: Any,
+    row_rule: Any, row_transition: Any, next_state: Any, new: Any, clash: Any,
     # Room to work in: the extended words, a bit for each rule, three times words; and for the program
     # all extended bits, 64 words, the planes of a count, the extended words of 64 states.
     extended: Any, due: Any, successor: Any, delete: Any, add: Any,
@@ -312,7 +312,6 @@ def expand(
                                     new[fresh, i] = successor[i]
                                 fresh += 1
                     next_state[transitions] = number
-                    slot[transitions] = outcome_slot[outcome]
                     transitions += 1
                 row_rule[rows] = rule
                 rows += 1
@@ -325,26 +324,29 @@ def expand(
 
 
 @kernel(
-    "void(i8[::1], i8[::1], i4[::1], i4[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1],"
-    " i4[::1], f8[::1], f8[::1])"
+    "void(i8[::1], i4[::1], i4[::1], i4[::1], i8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1],"
+    " f8[::1])"
 )
-def fill(
-    state_row: Any, row_transition: Any, next_state: Any, slot: Any, slot_chance: Any,
-    slot_reward: Any, arrival: Any, state_reward: Any, action_cost: Any, row_action: Any,
-    probability: Any, row_reward: Any,
+def pay(
+    state_row: Any, row_transition: Any, next_state: Any, row_kind: Any, kind_first: Any,
+    kind_probability: Any, kind_reward: Any, kind_cost: Any, arrival: Any, state_reward: Any,
+    row_reward: Any,
 ) -> None:  # fmt: skip
-    """Write each transition's probability, and what each row pays on average.
+    """Write what each row pays on average.
 
     A mean that is nothing but what rounding leaves of terms that cancel is 0.
     """
     for state in range(len(state_row) - 1):
         for row in range(state_row[state], state_row[state + 1]):
-            paid = state_reward[state] - action_cost[row_action[row]]
-            size = abs(state_reward[state]) + abs(action_cost[row_action[row]])
-            for entry in range(row_transition[row], row_transition[row + 1]):
-                chance = slot_chance[slot[entry]]
-                probability[entry] = chance
+            cost = kind_cost[row_kind[row]]
+            paid = state_reward[state] - cost
+            size = abs(state_reward[state]) + abs(cost)
+            begin, end = np.uint64(row_transition[row]), np.uint64(row_transition[row + 1])
+            of_kind = np.uint64(kind_first[row_kind[row]]) - begin
+            for entry in range(begin, end):
+                chance = kind_probability[of_kind + entry]
+                on_outcome = kind_reward[of_kind + entry]
                 on_arrival = arrival[next_state[entry]]
-                paid += chance * (slot_reward[slot[entry]] + on_arrival)
-                size += chance * (abs(slot_reward[slot[entry]]) + abs(on_arrival))
+                paid += chance * (on_outcome + on_arrival)
+                size += chance * (abs(on_outcome) + abs(on_arrival))
             row_reward[row] = paid if abs(paid) > 4e-16 * size else 0.0

@@ -23,6 +23,7 @@ Progress = Callable[[int, int, int], None]
 
 STRETCH = 8192  # states that a thread expands before numbers are given
 ROOM = 2**16  # states for which there is room from the start
+MOST = 2**31 - 1  # transitions that can be numbered
 WORTH = 4096  # states that wait to be expanded from which on several threads share the work
 
 
@@ -53,9 +54,8 @@ class Search:
         self.goal = np.empty(ROOM, np.bool_)
         self.reward = np.empty(ROOM, np.float64)
         self.row_rule = np.empty(4 * ROOM, np.int32)
-        self.row_transition = np.empty(4 * ROOM + 1, np.int64)
+        self.row_transition = np.empty(4 * ROOM + 1, np.int32)
         self.next_state = np.empty(16 * ROOM, np.int32)
-        self.slot = np.empty(16 * ROOM, np.int32)
         self.state_row[0] = self.row_transition[0] = 0
         kernel.rehash(self.table, self.words, 1)
 
@@ -106,7 +106,6 @@ class Search:
         self.found = kernel.settle(self.table, self.words, self.found, chunk.new, fresh, number)
         entries = slice(self.transitions, self.transitions + transitions)
         kernel.put_numbers(transitions, chunk.next_state, number, self.next_state[entries])
-        self.slot[entries] = chunk.slot[:transitions]
         self.row_rule[self.rows : self.rows + rows] = chunk.row_rule[:rows]
         ends = slice(self.rows + 1, self.rows + rows + 1)
         np.add(chunk.row_transition[1 : rows + 1], self.transitions, out=self.row_transition[ends])
@@ -120,9 +119,11 @@ class Search:
 
     def make_room(self, states: int, rows: int = 0, transitions: int = 0) -> None:
         """See to it that the arrays hold so many."""
+        if transitions > MOST:
+            raise LimitError(f"more than {MOST} transitions, the limit; {self._so_far}")
         self._grow(states, "words", "goal", "state_row", "reward")
         self._grow(rows, "row_rule", "row_transition")
-        self._grow(transitions, "next_state", "slot")
+        self._grow(transitions, "next_state")
         if 2 * states > len(self.table):
             size = len(self.table)
             while 2 * states > size:
@@ -187,9 +188,8 @@ class _Chunk:
         self.goal = np.zeros(STRETCH, np.bool_)
         self.reward = np.zeros(STRETCH, np.float64)
         self.row_rule = np.zeros(size, np.int32)
-        self.row_transition = np.zeros(size + 1, np.int64)
+        self.row_transition = np.zeros(size + 1, np.int32)
         self.next_state = np.zeros(size, np.int32)
-        self.slot = np.zeros(size, np.int32)
         self.new = np.zeros((size, tables.words), np.uint64)
         self.clash = np.zeros(3, np.int64)
         rule_bits = len(tables.rule_action) // 64 + 1
@@ -214,7 +214,7 @@ class _Chunk:
                 continue
             if end != kernel.FULL:
                 return end
-            for name in ("row_rule", "row_transition", "next_state", "slot", "new"):
+            for name in ("row_rule", "row_transition", "next_state", "new"):
                 array = getattr(self, name)
                 demand(2.0 * array.nbytes, self.search._so_far)
                 setattr(self, name, of_length(array, 2 * len(array)))
@@ -233,7 +233,7 @@ class _Chunk:
             *t.rule_watch.arrays(), *t.effect_watch.arrays(), search.happens, search.to_sink,
             search.table, search.words, self.first, self.last, alone,
             self.counts, self.state_row, self.goal, self.reward, self.row_rule,
-            self.row_transition, self.next_state, self.slot, self.new, self.clash, *self.room,
+            self.row_transition, self.next_state, self.new, self.clash, *self.room,
         ))  # fmt: skip
 
 

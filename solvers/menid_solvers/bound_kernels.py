@@ -10,14 +10,13 @@ from menid_solvers.guess_kernels import guess_stay, guess_values
 from menid_solvers.sweep_kernels import (
     choose_certified,
     choose_policy,
-    slack,
     sweep_all,
     sweep_shortest_stay,
     sweep_taken,
     take_rows,
 )
 
-_ROWS = "i8[::1], i8[::1], u4[::1], f8[::1], f8[::1], f8[::1]"
+_ROWS = "i8[::1], i4[::1], u4[::1], i4[::1], f8[::1], f8[::1], f8[::1]"
 
 # What `state` holds between calls.
 BLOCK, PHASE, SHIFT, BLOCK_SWEEPS, LARGEST, SWEEPS, RESIDUAL, PATIENCE, WIDTH, STAY, MARK = range(
@@ -38,8 +37,9 @@ GIVE_UP = 300_000  # sweeps of a block, after which its bounds stay open
 def close_single(
     u: int,
     first_row: Ints,
-    first_entry: Ints,
+    first_entry: SmallInts,
     target: Naturals,
+    row_weight: SmallInts,
     weight: Floats,
     constant: Floats,
     floor: Floats,
@@ -55,9 +55,11 @@ def close_single(
         up = constant[i]
         down = constant[i]
         size = abs(constant[i])
-        for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
-            above = weight[k] * hi[target[k]]
-            below = weight[k] * lo[target[k]]
+        begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+        at = np.uint64(row_weight[i]) - begin
+        for k in range(begin, end):
+            above = weight[at + k] * hi[target[k]]
+            below = weight[at + k] * lo[target[k]]
             up += above
             down += below
             size += max(abs(above), abs(below))
@@ -69,8 +71,10 @@ def close_single(
     for i in range(first_row[u], first_row[u + 1]):
         down = constant[i]
         size = abs(constant[i])
-        for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
-            below = weight[k] * lo[target[k]]
+        begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+        at = np.uint64(row_weight[i]) - begin
+        for k in range(begin, end):
+            below = weight[at + k] * lo[target[k]]
             down += below
             size += abs(below)
         if down >= low - slack_of_ties:
@@ -83,18 +87,18 @@ def close_single(
 
 
 @kernel(
-    f"i8({_ROWS}, f8[::1], i8[::1], i4[::1], i8, f8, f8, f8, b1, f8, i8,"
+    f"i8({_ROWS}, i8[::1], i4[::1], i8, f8, f8, f8, b1, f8, i8,"
     " f8[::1], f8[::1], f8[::1], f8[::1], i8[::1], b1[::1],"
     " i8[::1], u4[::1], f8[::1], f8[::1], f8[::1])"
 )
 def advance(
     first_row: Ints,
-    first_entry: Ints,
+    first_entry: SmallInts,
     target: Naturals,
+    row_weight: SmallInts,
     weight: Floats,
     constant: Floats,
     floor: Floats,
-    leak: Floats,
     block_first: Ints,
     depth: SmallInts,
     longest: int,
@@ -137,7 +141,17 @@ def advance(
         if state[PHASE] == START:
             if last - first == 1:
                 close_single(
-                    first, first_row, first_entry, target, weight, constant, floor, hi, lo, policy
+                    first,
+                    first_row,
+                    first_entry,
+                    target,
+                    row_weight,
+                    weight,
+                    constant,
+                    floor,
+                    hi,
+                    lo,
+                    policy,
                 )
                 state[LARGEST] = max(state[LARGEST], abs(hi[first]), abs(lo[first]))
                 state[BLOCK] += 1
@@ -153,7 +167,7 @@ def advance(
                 stay[u] = state[STAY] if discount < 1.0 else 0.0
             if guess:
                 guess_values(
-                    first, last, first_row, first_entry, target, weight, constant, floor, leak,
+                    first, last, first_row, first_entry, target, row_weight, weight, constant, floor,
                     hi, leaves,
                 )  # fmt: skip
                 spent += 2 * block_work
@@ -165,7 +179,7 @@ def advance(
 
         if state[PHASE] == VALUE:
             sweep_all(
-                first, last, False, first_row, first_entry, target, weight, constant, floor,
+                first, last, False, first_row, first_entry, target, row_weight, weight, constant, floor,
                 hi, policy, measured,
             )  # fmt: skip
             state[SWEEPS] += 1
@@ -178,8 +192,8 @@ def advance(
                     continue
                 enough = max(0.1 * state[RESIDUAL], 0.05 * shift)
                 take_rows(
-                    first, last, first_row, first_entry, target, weight, constant, floor, policy,
-                    taken_first, taken_target, taken_weight, taken_constant,
+                    first, last, first_row, first_entry, target, row_weight, weight, constant,
+                    floor, policy, taken_first, taken_target, taken_weight, taken_constant,
                 )  # fmt: skip
                 spent += 4 * policy_work
                 for _ in range(min(30, int(3 * rows / (last - first)))):  # cheaper than all rows
@@ -194,16 +208,18 @@ def advance(
             state[PHASE] = CHECK
             if discount == 1.0:
                 choose_policy(
-                    first, last, 4.0 * error, first_row, first_entry, target, weight,
-                    constant, floor, leak, hi, policy, leaves,
+                    first, last, 0.0, True, first_row, first_entry, target, row_weight, weight,
+                    constant, floor, hi, policy, leaves,
                 )  # fmt: skip
                 spent += 2 * block_work
                 if stay[first] == 0.0:
-                    guess_stay(first, last, first_entry, target, weight, leak, stay, policy, leaves)
+                    guess_stay(
+                        first, last, first_entry, target, row_weight, weight, stay, policy, leaves
+                    )
                     spent += policy_work
                 take_rows(
-                    first, last, first_row, first_entry, target, weight, constant, floor, policy,
-                    taken_first, taken_target, taken_weight, taken_constant,
+                    first, last, first_row, first_entry, target, row_weight, weight, constant,
+                    floor, policy, taken_first, taken_target, taken_weight, taken_constant,
                 )  # fmt: skip
                 for j in range(last - first):
                     taken_constant[j] = 1.0
@@ -219,8 +235,8 @@ def advance(
                 spent += policy_work
             else:
                 sweep_shortest_stay(
-                    first, last, 0.05 * shift, first_row, first_entry, target, weight, constant,
-                    floor, hi, stay, policy, measured,
+                    first, last, 0.05 * shift, first_row, first_entry, target, row_weight,
+                    weight, constant, floor, hi, stay, policy, measured,
                 )  # fmt: skip
                 spent += block_work
             state[MARK] += 1
@@ -241,7 +257,8 @@ def advance(
         elif state[PHASE] == CHECK:
             width = 0.0
             for i in range(first_row[first], first_row[last]):
-                for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+                begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+                for k in range(begin, end):
                     if target[k] < first:
                         width = max(width, hi[target[k]] - lo[target[k]])
             state[WIDTH] = width
@@ -251,13 +268,9 @@ def advance(
             error = ROUNDING * (longest + 5) * (state[LARGEST] + shift * state[STAY])
             choose_certified(
                 first, last, max(4.0 * error, 0.05 * shift), error, first_row, first_entry,
-                target, weight, constant, floor, lo, policy,
+                target, row_weight, weight, constant, floor, hi, lo, policy, measured,
             )  # fmt: skip
-            slack(
-                first, last, first_row, first_entry, target, weight, constant, floor, hi, lo,
-                policy, measured,
-            )  # fmt: skip
-            spent += 4 * block_work
+            spent += 3 * block_work
             if measured[1] < error and state[BLOCK_SWEEPS] < GIVE_UP:
                 for u in range(first, last):
                     hi[u] -= shift * stay[u]
@@ -274,8 +287,8 @@ def advance(
         else:
             if state[MARK] > 0.0:
                 sweep_all(
-                    first, last, True, first_row, first_entry, target, weight, constant, floor,
-                    hi, policy, measured,
+                    first, last, True, first_row, first_entry, target, row_weight, weight, constant,
+                    floor, hi, policy, measured,
                 )  # fmt: skip
                 state[MARK] += 1
                 state[SWEEPS] += 1

@@ -110,7 +110,9 @@ def enclose(
         np.empty(len(core.target)), np.empty(core.unknowns),
     )  # fmt: skip
     state, measured = np.zeros(kernels.STATE), np.zeros(3)
-    state[kernels.LARGEST] = np.max(np.abs(core.constant), initial=0.0)
+    state[kernels.LARGEST] = max(
+        np.max(core.constant, initial=0.0), -np.min(core.constant, initial=0.0)
+    )
     finite = core.floor[np.isfinite(core.floor)]
     state[kernels.LARGEST] += np.max(np.abs(finite), initial=0.0)
     # Sweeps from 0 stay below values that are not negative: bounds for whoever stops early.
@@ -124,7 +126,7 @@ def enclose(
             if limits.reached and code == kernels.MORE and state[kernels.BLOCK] < core.blocks:
                 break
             code = kernels.advance(
-                *core.rows(), core.leak, core.block_first, core.depth, core.longest,
+                *core.rows(), core.block_first, core.depth, core.longest,
                 core.discount, epsilon, highest, guess, WORK, most, state, hi, lo, stay, policy,
                 leaves, *taken, measured,
             )  # fmt: skip
@@ -246,7 +248,7 @@ def _eliminate(
     own = epsilon / deepest
     part = slice(first, last)
     x = hi.copy()
-    choose_policy(first, last, state[kernels.SHIFT], *core.rows(), core.leak, x, policy, leaves)
+    choose_policy(first, last, state[kernels.SHIFT], False, *core.rows(), x, policy, leaves)
     n = last - first
     answer = np.empty((n, 3))
     room = np.empty((n, 2 * band + 1)), np.empty(n), np.empty(n)
@@ -255,7 +257,7 @@ def _eliminate(
     for _ in range(int(rounds)):
         state[kernels.SWEEPS] += 1
         if not elimination.solve_policy(
-            first, last, band, *core.rows(), core.leak, hi, lo, policy, answer, *room
+            first, last, band, *core.rows(), hi, lo, policy, answer, *room
         ):
             # Staying costs less than the shift pays for it: a smaller one.
             policy[part] = leaving

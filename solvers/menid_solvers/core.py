@@ -6,7 +6,8 @@ unknown u, and entries k of row i::
     x[u] = max(floor[u], max over i of  constant[i] + sum over k of weight[k] * x[target[k]])
 
 Loops of a row to its own unknown are solved for, the discount is multiplied into the weights, and
-what leads to a known value is in the constant; leak[i] = 1 - sum of weights. Unknowns are numbered
+what leads to a known value is in the constant. Rows of one kind that lead to as many unknowns have the
+same weights, and share them. Unknowns are numbered
 by *blocks* (strongly connected components) such that a block refers to itself and earlier ones, and
 within a block the state found last comes first, since values flow back from the end.
 """
@@ -23,7 +24,7 @@ from menid_plan.memory import demand
 from menid_solvers import core_kernels as kernels
 from menid_solvers.graph import components
 
-Rows: TypeAlias = tuple[Ints, Ints, Naturals, Floats, Floats, Floats]
+Rows: TypeAlias = tuple[Ints, SmallInts, Naturals, SmallInts, Floats, Floats, Floats]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,23 +33,25 @@ class Core:
 
     ::
 
-    first_row     int64[u + 1]     constant, leak  float64[i]
-    first_entry   int64[i + 1]     weight          float64[k]
-    block_first   int64[b + 1]     target          int32[k]
+    first_row     int64[u + 1]     constant        float64[i]
+    first_entry   int32[i + 1]     target          uint32[k]
+    block_first   int64[b + 1]
+    row_weight    int32[i]         where the weights of a row begin in `weight` (float64); before them
+                                   stands what it leaks, 1 - their sum
     floor         float64[u]       what ending at once pays, -inf where one cannot
-    source        int64[i]         the row of the MDP
+    source        int32[i]         the row of the MDP
     unknown       int32[n]         of a state; -1 where the value is known
     depth         int32[b]         blocks of several unknowns on the longest way from here
     """
 
     first_row: Ints
-    first_entry: Ints
+    first_entry: SmallInts
     target: Naturals
+    row_weight: SmallInts
     weight: Floats
     constant: Floats
-    leak: Floats
     floor: Floats
-    source: Ints
+    source: SmallInts
     unknown: SmallInts
     block_first: Ints
     depth: SmallInts
@@ -68,7 +71,8 @@ class Core:
     def rows(self) -> Rows:
         """The arrays that the sweeps read, in the order of their parameters."""
         return (
-            self.first_row, self.first_entry, self.target, self.weight, self.constant, self.floor,
+            self.first_row, self.first_entry, self.target, self.row_weight, self.weight,
+            self.constant, self.floor,
         )  # fmt: skip
 
 
@@ -93,7 +97,8 @@ def build_core(
     """
     n = mdp.states
     size = f"to solve {n} states with {mdp.transitions} transitions"
-    demand(12.0 * mdp.transitions + 40.0 * mdp.rows + 80.0 * n, size)
+    weights = len(mdp.kind_probability)
+    demand(4.0 * mdp.transitions + 28.0 * mdp.rows + 80.0 * n + 8.0 * weights, size)
     number, component = components(mdp, rows)
     if merged is None:
         merged = np.full(n, -1, np.int32)
@@ -107,18 +112,20 @@ def build_core(
     )  # fmt: skip
     counts = rows if inside is None else rows & ~inside
     first_row = np.empty(unknowns + 1, np.int64)
-    first_entry = np.zeros(mdp.rows + 1, np.int64)
-    source = np.empty(mdp.rows, np.int64)
+    # Memory that is not written to is not taken: there is room for the worst case.
+    first_entry = np.empty(mdp.rows + 1, np.int32)
+    source = np.empty(mdp.rows, np.int32)
     constant = np.empty(mdp.rows)
-    leak = np.empty(mdp.rows)
     target = np.empty(mdp.transitions, np.uint32)
-    weight = np.empty(mdp.transitions)
+    row_weight = np.empty(mdp.rows, np.int32)
+    weight = np.empty(mdp.transitions + mdp.rows)
+    kinds = len(mdp.kind_action)
     depth = np.zeros(blocks, np.int32)
-    row_number, entries, longest = kernels.compile_rows(
-        mdp.state_row, mdp.row_transition, mdp.next_state, mdp.probability, counts, reward,
-        known_value, discount, unknown, member, member_first, block_first, blocks,
-        first_row, first_entry, source, constant, leak, target, weight, depth,
-        np.empty(unknowns, np.int32), np.empty(unknowns, np.int64),
+    row_number, entries, weights, longest = kernels.compile_rows(
+        *mdp.graph, counts, reward, known_value, discount, unknown, member, member_first,
+        block_first, blocks, first_row, first_entry, source, constant, target, row_weight, weight,
+        depth, np.empty(unknowns, np.int32), np.empty(unknowns, np.int64), np.empty(kinds, np.int64),
+        np.empty(kinds, np.int32),
     )  # fmt: skip
     floor = np.full(unknowns, -np.inf)
     if stop is not None:
@@ -129,9 +136,9 @@ def build_core(
         first_row=first_row,
         first_entry=first_entry[: row_number + 1],
         target=target[:entries],
-        weight=weight[:entries],
+        row_weight=row_weight[:row_number],
+        weight=weight[:weights],
         constant=constant[:row_number],
-        leak=leak[:row_number],
         floor=floor,
         source=source[:row_number],
         unknown=unknown,

@@ -8,6 +8,7 @@ from menid_plan.compiled import kernel
 from menid_plan.mdp.model import Bools, Floats, Ints, Naturals, SmallInts
 
 SHORT = 8  # entries of a row among which a target is searched one by one
+PATTERN = 38  # entries of a row of which it can be told in 63 bits where they lead
 
 
 @kernel(
@@ -81,16 +82,18 @@ def number_unknowns(
 
 
 @kernel(
-    "UniTuple(i8, 3)(i8[::1], i8[::1], i4[::1], f8[::1], b1[::1], f8[::1], f8[::1], f8,"
-    " i4[::1], i4[::1], i8[::1], i8[::1], i8,"
-    " i8[::1], i8[::1], i8[::1], f8[::1], f8[::1], u4[::1], f8[::1], i4[::1],"
-    " i4[::1], i8[::1])"
+    "UniTuple(i8, 4)(i8[::1], i4[::1], i4[::1], i4[::1], i8[::1], f8[::1], b1[::1], f8[::1], f8[::1],"
+    " f8, i4[::1], i4[::1], i8[::1], i8[::1], i8,"
+    " i8[::1], i4[::1], i4[::1], f8[::1], u4[::1], i4[::1], f8[::1], i4[::1],"
+    " i4[::1], i8[::1], i8[::1], i4[::1])"
 )
 def compile_rows(
     state_row: Ints,
-    row_transition: Ints,
+    row_transition: SmallInts,
     next_state: SmallInts,
-    probability: Floats,
+    row_kind: SmallInts,
+    kind_first: Ints,
+    kind_probability: Floats,
     row_counts: Bools,
     reward: Floats,
     known_value: Floats,
@@ -101,26 +104,32 @@ def compile_rows(
     block_first: Ints,
     blocks: int,
     first_row: Ints,
-    first_entry: Ints,
-    source: Ints,
+    first_entry: SmallInts,
+    source: SmallInts,
     constant: Floats,
-    leak: Floats,
     target: Naturals,
+    row_weight: SmallInts,
     weight: Floats,
     depth: SmallInts,
     block_of: SmallInts,
     place: Ints,
-) -> tuple[int, int, int]:
+    known_pattern: Ints,
+    known_weight: SmallInts,
+) -> tuple[int, int, int, int]:
     """Write the rows of every unknown: loops solved for, known values put in, doubles merged.
 
     depth[b] is the highest number of blocks of several unknowns on a way out of block b, itself
-    included. Returns the numbers of rows and entries, and the most entries of a row.
+    included. Returns the numbers of rows, entries and weights, and the most entries of a row.
     """
     unknowns = block_first[blocks]
     place[:] = -1  # of an entry in the row at hand; room of unknowns, as block_of
+    # For each kind, which transitions of its last row led where, and its weights.
+    known_pattern[:] = -1
     rows = 0
     entries = 0
+    weights = 0
     longest = 0
+    most = 0  # the largest depth so far
     for b in range(blocks):
         deepest = 0
         for u in range(block_first[b], block_first[b + 1]):
@@ -132,15 +141,17 @@ def compile_rows(
                 for r in range(state_row[s], state_row[s + 1]):
                     if not row_counts[r]:
                         continue
-                    begin = entries
+                    before = entries
                     stays = 0.0
                     ends = 0.0
                     moves = 0.0
                     gained = 0.0
-                    last = row_transition[r + 1]
-                    short = last - row_transition[r] <= SHORT
-                    for e in range(np.uint64(row_transition[r]), np.uint64(last)):
-                        p = probability[e]
+                    pattern = 1
+                    begin, end = np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])
+                    of_kind = np.uint64(kind_first[row_kind[r]]) - begin
+                    short = end - begin <= SHORT
+                    for e in range(begin, end):
+                        p = kind_probability[of_kind + e]
                         if p <= 0.0:
                             continue
                         t = next_state[e]
@@ -148,45 +159,71 @@ def compile_rows(
                         if v < 0:
                             ends += p
                             gained += p * known_value[t]
+                            pattern = 3 * pattern
                         elif v == u:
                             stays += p
+                            pattern = 3 * pattern + 1
                         else:
                             moves += p
                             at = entries
                             if short:  # the row at hand is at hand, the places of all unknowns not
-                                for k in range(begin, entries):
+                                for k in range(before, entries):
                                     if target[k] == v:
                                         at = k
-                            elif place[v] >= begin:
+                            elif place[v] >= before:
                                 at = place[v]
                             else:
                                 place[v] = entries
-                            if at < entries:
-                                weight[at] += p
-                            else:
+                            if at == entries:
                                 target[entries] = v
-                                weight[entries] = p
                                 entries += 1
+                                pattern = 3 * pattern + 2
+                            else:
+                                pattern = -2
+                        if end - begin > PATTERN:
+                            pattern = -2
                     divisor = moves + ends + (1.0 - discount) * stays
                     if divisor <= 0.0:
                         continue  # it loops forever, and pays less than nothing
-                    factor = discount / divisor
-                    for e in range(begin, entries):
-                        weight[e] *= factor
-                    if blocks > 1:
-                        for e in range(begin, entries):
+                    total = moves + ends + stays
+                    if pattern < 0 or known_pattern[row_kind[r]] != pattern:
+                        weights += 1
+                        known_pattern[row_kind[r]] = pattern
+                        known_weight[row_kind[r]] = weights
+                        weight[weights - 1] = (discount * ends + (1.0 - discount) * total) / divisor
+                        for k in range(weights, weights + entries - before):
+                            weight[k] = 0.0
+                        following = 0
+                        for e in range(begin, end):
+                            p = kind_probability[of_kind + e]
+                            v = unknown[next_state[e]]
+                            if p <= 0.0 or v < 0 or v == u:
+                                continue
+                            k = following
+                            if pattern < 0:
+                                k = 0
+                                while target[before + k] != v:
+                                    k += 1
+                            weight[weights + k] += p
+                            following += 1
+                        for k in range(weights, weights + entries - before):
+                            weight[k] *= discount / divisor
+                        row_weight[rows] = weights
+                        weights += entries - before
+                    else:
+                        row_weight[rows] = known_weight[row_kind[r]]
+                    if deepest < most:
+                        for e in range(before, entries):
                             other = block_of[target[e]]
                             if other != b:
                                 deepest = max(deepest, depth[other])
-                    total = moves + ends + stays
                     constant[rows] = (reward[r] * total + discount * gained) / divisor
-                    leak[rows] = (discount * ends + (1.0 - discount) * total) / divisor
                     source[rows] = r
-                    first_entry[rows] = begin
-                    longest = max(longest, entries - begin)
+                    first_entry[rows] = before
+                    longest = max(longest, entries - before)
                     rows += 1
-                    first_entry[rows] = entries
         depth[b] = deepest + (1 if block_first[b + 1] - block_first[b] > 1 else 0)
+        most = max(most, depth[b])
     first_row[unknowns] = rows
     first_entry[rows] = entries
-    return rows, entries, longest
+    return rows, entries, weights, longest

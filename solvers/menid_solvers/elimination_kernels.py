@@ -9,13 +9,15 @@ from __future__ import annotations
 import numpy as np
 
 from menid_plan.compiled import kernel
-from menid_plan.mdp.model import Floats, Ints, Naturals
+from menid_plan.mdp.model import Floats, Ints, Naturals, SmallInts
 
-_ROWS = "i8[::1], i8[::1], u4[::1], f8[::1], f8[::1], f8[::1]"
+_ROWS = "i8[::1], i4[::1], u4[::1], i4[::1], f8[::1], f8[::1], f8[::1]"
 
 
-@kernel("i8(i8, i8, i8[::1], i8[::1], u4[::1])")
-def bandwidth(first: int, last: int, first_row: Ints, first_entry: Ints, target: Naturals) -> int:
+@kernel("i8(i8, i8, i8[::1], i4[::1], u4[::1])")
+def bandwidth(
+    first: int, last: int, first_row: Ints, first_entry: SmallInts, target: Naturals
+) -> int:
     """The largest distance between two unknowns of the block that a row of it connects."""
     widest = 0
     for u in range(first, last):
@@ -26,20 +28,19 @@ def bandwidth(first: int, last: int, first_row: Ints, first_entry: Ints, target:
 
 
 @kernel(
-    f"b1(i8, i8, i8, {_ROWS}, f8[::1], f8[::1], f8[::1], i8[::1],"
-    " f8[:, ::1], f8[:, ::1], f8[::1], f8[::1])"
+    f"b1(i8, i8, i8, {_ROWS}, f8[::1], f8[::1], i8[::1], f8[:, ::1], f8[:, ::1], f8[::1], f8[::1])"
 )
 def solve_policy(
     first: int,
     last: int,
     band: int,
     first_row: Ints,  # noqa: ARG001 - all sweeps take the same arrays
-    first_entry: Ints,
+    first_entry: SmallInts,
     target: Naturals,
+    row_weight: SmallInts,
     weight: Floats,
     constant: Floats,
     floor: Floats,
-    leak: Floats,
     hi: Floats,
     lo: Floats,
     policy: Ints,
@@ -66,15 +67,17 @@ def solve_policy(
             continue
         above = constant[i]
         below = constant[i]
-        out[j] = leak[i]
-        for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+        out[j] = weight[row_weight[i] - 1]
+        begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+        at = np.uint64(row_weight[i]) - begin
+        for k in range(begin, end):
             t = target[k]
             if t >= first:
-                rate[j, band + t - u] += weight[k]
+                rate[j, band + t - u] += weight[at + k]
             else:
-                above += weight[k] * hi[t]
-                below += weight[k] * lo[t]
-                out[j] += weight[k]
+                above += weight[at + k] * hi[t]
+                below += weight[at + k] * lo[t]
+                out[j] += weight[at + k]
         answer[j, 0] = above
         answer[j, 1] = below
     for j in range(n):
@@ -113,8 +116,9 @@ def improve_policy(
     shift: float,
     tie: float,
     first_row: Ints,
-    first_entry: Ints,
+    first_entry: SmallInts,
     target: Naturals,
+    row_weight: SmallInts,
     weight: Floats,
     constant: Floats,
     floor: Floats,
@@ -131,8 +135,10 @@ def improve_policy(
             chosen = -1
         for i in range(first_row[u], first_row[u + 1]):
             value = constant[i] + shift
-            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
-                value += weight[k] * x[target[k]]
+            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+            at = np.uint64(row_weight[i]) - begin
+            for k in range(begin, end):
+                value += weight[at + k] * x[target[k]]
             if value > best:
                 best = value
                 chosen = i

@@ -49,6 +49,9 @@ def tell_endings(mdp: MDP, graph: Graph, rows: Bools, reward: Floats) -> Endings
     growing = np.zeros(n, np.bool_)
     unsure = np.zeros(n, np.bool_)
     potential = np.zeros(n)
+    if not bool(np.any(reward[rows] >= 0.0)):  # what can be stayed in only costs
+        nowhere = np.full(n, -1, np.int32)
+        return Endings(growing, unsure, nowhere, np.zeros(mdp.rows, np.bool_), potential, reward)
     component, within = end_components(graph, rows)
     if bool(within.any()):
         of_row = component[graph.row_state[within]]
@@ -68,9 +71,7 @@ def tell_endings(mdp: MDP, graph: Graph, rows: Bools, reward: Floats) -> Endings
         return Endings(growing, unsure, component, within, potential, reward)
     if bool(potential.any()):
         expected = np.zeros(mdp.rows)
-        kernels.expect(
-            mdp.row_transition, mdp.next_state, mdp.probability, rows, potential, expected
-        )
+        kernels.expect(*mdp.graph, rows, potential, expected)
         reward = np.where(rows, reward + expected - potential[graph.row_state], reward)
     free = within & (reward == 0.0)
     if bool(free.any()):
@@ -85,13 +86,13 @@ def _gain_sign(
 ) -> int | None:
     """1, 0 or -1; None if it cannot be told. Where it is 0, writes the members' potential."""
     mdp, row_state = on.mdp, on.row_state
-    graph = (mdp.state_row, mdp.row_transition, mdp.next_state, mdp.probability, within, reward)
+    graph = (*mdp.graph, within, reward)
     of_members = within & np.isin(row_state, members)
     scale = float(np.max(np.abs(reward[of_members])))
     h = np.zeros(mdp.states)
     if kernels.potential(*graph, members, 2 * len(members) + 2, h):
         expected = np.zeros(mdp.rows)
-        kernels.expect(mdp.row_transition, mdp.next_state, mdp.probability, of_members, h, expected)
+        kernels.expect(*mdp.graph, of_members, h, expected)
         left = (reward + expected - h[row_state])[of_members]
         if bool(np.all((left == 0.0) | (left < -1e-9 * scale))):
             potential[members] = h[members]

@@ -43,13 +43,10 @@ class GoalStage:
         """
         if self.settled:
             return self.sure_rows
-        row_state = mdp.row_state
-        between = rows & ~(self.sure | self.never)[row_state]
+        between = rows & mdp.rows_of(~(self.sure | self.never))
         expected = np.zeros(mdp.rows)
-        kernels.expect(
-            mdp.row_transition, mdp.next_state, mdp.probability, between, self.stage.upper, expected
-        )
-        good: Bools = expected >= self.stage.lower[row_state] - 1e-14
+        kernels.expect(*mdp.graph, between, self.stage.upper, expected)
+        good: Bools = expected >= np.repeat(self.stage.lower, np.diff(mdp.state_row)) - 1e-14
         return self.sure_rows | (between & good)
 
 
@@ -70,13 +67,13 @@ def reach_goal(
     goal = mdp.goal
     sure, sure_rows, possible = sure_reach(graph, rows, goal)
     settled = sure | ~possible
-    sure_rows &= sure[graph.row_state]
+    sure_rows &= mdp.rows_of(sure)
     stage = Stage.known(mdp, sure.astype(np.float64), rows)
     stage.policy[goal] = -1
     if steered:
         graph.steer(sure_rows, goal, stage.policy)
     if not bool(settled.all()):
-        between = rows & ~settled[graph.row_state]
+        between = rows & mdp.rows_of(~settled)
         merged, inside = end_components(graph, between)
         core = build_core(
             mdp, rows=between, reward=np.zeros(mdp.rows), discount=1.0, known=settled,

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from menid_plan.mdp.model import MDP, Bools, Floats, Ints, SmallInts
+from menid_plan.mdp.model import MDP, Bools, Ints, SmallInts
 from menid_plan.memory import demand
 from menid_solvers import graph_kernels as kernels
 
@@ -40,20 +40,20 @@ class Graph:
         demand(4.0 * mdp.transitions, f"the predecessors of {mdp.states} states")
         first = np.empty(mdp.states + 1, np.int64)
         row = np.empty(mdp.transitions, np.int32)
-        kernels.predecessors(*_graph(mdp, self.rows), first, row)
+        kernels.predecessors(*mdp.graph, self.rows, first, row)
         return first, row
 
     def reaching(self, rows: Bools, targets: Bools) -> Bools:
         """The states (bool[n]) from which targets can be reached by some choice of the rows."""
         found = targets.copy()
-        if bool(found.any()) and not kernels.sweep_reach(*_graph(self.mdp, rows), SWEEPS, found):
+        if bool(found.any()) and not kernels.sweep_reach(*self.mdp.graph, rows, SWEEPS, found):
             queue = np.empty(self.mdp.states, np.int32)
             kernels.reach(*self.predecessors, self.row_state, rows, found, queue)
         return found
 
     def without(self, rows: Bools, gone: Bools) -> None:
         """Take out, in place, rows that may lead to gone states and states left without rows."""
-        if not bool(gone.any()) or kernels.sweep_attract(*_graph(self.mdp, rows), SWEEPS, gone):
+        if not bool(gone.any()) or kernels.sweep_attract(*self.mdp.graph, rows, SWEEPS, gone):
             return
         n = self.mdp.states
         kernels.attract_rows(
@@ -68,8 +68,7 @@ class Graph:
         """
         mdp = self.mdp
         kernels.steer(
-            mdp.state_row, mdp.row_transition, mdp.next_state, mdp.probability,
-            *self.predecessors, self.row_state, rows, target, policy,
+            *mdp.graph, *self.predecessors, self.row_state, rows, target, policy,
             np.empty(mdp.states, np.int32), np.empty(mdp.states, np.int32),
         )  # fmt: skip
 
@@ -77,12 +76,13 @@ class Graph:
 def components(mdp: MDP, rows: Bools) -> tuple[int, SmallInts]:
     """How many strongly connected components, and each state's; edges lead to no higher number."""
     component = np.empty(mdp.states, np.int32)
-    graph = _graph(mdp, rows)
+    graph = (*mdp.graph, rows)
     room = np.empty((3, mdp.states), np.int32)
     found = kernels.one_component(*graph, SWEEPS, component, room)
     if found == 0:
         places = np.empty((2, mdp.states), np.int64)
-        found = kernels.strong_components(*graph, component, room, places)
+        every = bool(rows.all()) and bool(np.all(mdp.kind_probability > 0.0))
+        found = kernels.strong_components(*graph, every, component, room, places)
     return found, component
 
 
@@ -100,7 +100,7 @@ def sure_reach(graph: Graph, rows: Bools, targets: Bools) -> tuple[Bools, Bools,
     never leave these states. Repeats: what cannot reach the targets goes, and so does every row that
     may lead there (de Alfaro 1997, the nested fixpoint).
     """
-    rows = rows & ~targets[graph.row_state]
+    rows = rows & graph.mdp.rows_of(~targets)
     gone = np.zeros(graph.mdp.states, np.bool_)
     possible: Bools | None = None
     while True:
@@ -124,7 +124,7 @@ def end_components(graph: Graph, rows: Bools) -> tuple[SmallInts, Bools]:
     gone = np.empty(mdp.states, np.bool_)
     while bool(rows.any()):
         _, component = components(mdp, rows)
-        taken = kernels.rows_that_leave(*_graph(mdp, rows), component, gone)
+        taken = kernels.rows_that_leave(*mdp.graph, rows, component, gone)
         if taken == 0:
             break
         graph.without(rows, gone)
@@ -132,7 +132,3 @@ def end_components(graph: Graph, rows: Bools) -> tuple[SmallInts, Bools]:
         return np.full(mdp.states, -1, np.int32), rows
     component[lowest_rows(mdp, rows) < 0] = -1
     return component, rows
-
-
-def _graph(mdp: MDP, rows: Bools) -> tuple[Ints, Ints, SmallInts, Floats, Bools]:
-    return mdp.state_row, mdp.row_transition, mdp.next_state, mdp.probability, rows

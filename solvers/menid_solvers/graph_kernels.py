@@ -11,16 +11,21 @@ import numpy as np
 from menid_plan.compiled import kernel
 from menid_plan.mdp.model import Bools, Floats, Ints, SmallInts
 
-_GRAPH = "i8[::1], i8[::1], i4[::1], f8[::1], b1[::1]"
+SOON = 4096  # states
+
+_GRAPH = "i8[::1], i4[::1], i4[::1], i4[::1], i8[::1], f8[::1], b1[::1]"
 
 
-@kernel(f"i8({_GRAPH}, i4[::1], i4[:, ::1], i8[:, ::1])")
+@kernel(f"i8({_GRAPH}, b1, i4[::1], i4[:, ::1], i8[:, ::1])")
 def strong_components(
     state_row: Ints,
-    row_transition: Ints,
+    row_transition: SmallInts,
     next_state: SmallInts,
-    probability: Floats,
+    row_kind: SmallInts,
+    kind_first: Ints,
+    kind_probability: Floats,
     row_counts: Bools,
+    every: bool,
     component: SmallInts,
     room: SmallInts,
     places: Ints,
@@ -28,6 +33,7 @@ def strong_components(
     """Number the strongly connected components so that edges never lead to a higher number.
 
     Writes component (int32[n]) and returns how many there are. Tarjan 1972, without recursion;
+    ``every``: all rows count, and nothing has probability 0, so that rows need not be told apart.
     ``room`` (int32[3, n]) and ``places`` (int64[2, n]) are to work in.
     """
     n = len(state_row) - 1
@@ -53,22 +59,25 @@ def strong_components(
         stack[0] = s
         height = 1
         r = state_row[s]
-        e = row_transition[r]
+        e = np.int64(row_transition[r])
+        if every:  # all the entries of the state as if of its last row
+            r = max(r, state_row[s + 1] - 1)
         while depth >= 0:
             last = state_row[s + 1]
             child = -1
             while r < last:
-                end = row_transition[r + 1]
+                end = np.int64(row_transition[r + 1])
                 if row_counts[r]:
+                    of_kind = kind_first[row_kind[r]] - row_transition[r] - 1  # e is one further
                     while e < end:
                         t = next_state[e]
                         e += 1
                         low_t = low[t]
                         if low_t == 0:
-                            if probability[e - 1] > 0.0:
+                            if every or kind_probability[of_kind + e] > 0.0:
                                 child = t
                                 break
-                        elif low_t < low_s and probability[e - 1] > 0.0:
+                        elif low_t < low_s and (every or kind_probability[of_kind + e] > 0.0):
                             low_s = low_t
                     if child >= 0:
                         break
@@ -89,7 +98,9 @@ def strong_components(
                 stack[height] = s
                 height += 1
                 r = state_row[s]
-                e = row_transition[r]
+                e = np.int64(row_transition[r])
+                if every:  # all the entries of the state as if of its last row
+                    r = max(r, state_row[s + 1] - 1)
                 continue
             low[s] = low_s
             if low_s == index:
@@ -115,9 +126,11 @@ def strong_components(
 @kernel(f"void({_GRAPH}, i8[::1], i4[::1])")
 def predecessors(
     state_row: Ints,
-    row_transition: Ints,
+    row_transition: SmallInts,
     next_state: SmallInts,
-    probability: Floats,
+    row_kind: SmallInts,
+    kind_first: Ints,
+    kind_probability: Floats,
     row_counts: Bools,
     first: Ints,
     row: SmallInts,
@@ -131,16 +144,20 @@ def predecessors(
     for s in range(n):
         for r in range(state_row[s], state_row[s + 1]):
             if row_counts[r]:
-                for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
-                    if probability[e] > 0.0:
+                begin, end = np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])
+                of_kind = np.uint64(kind_first[row_kind[r]]) - begin
+                for e in range(begin, end):
+                    if kind_probability[of_kind + e] > 0.0:
                         first[next_state[e] + 1] += 1
     for s in range(n):
         first[s + 1] += first[s]
     for s in range(n):
         for r in range(state_row[s], state_row[s + 1]):
             if row_counts[r]:
-                for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
-                    if probability[e] > 0.0:
+                begin, end = np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])
+                of_kind = np.uint64(kind_first[row_kind[r]]) - begin
+                for e in range(begin, end):
+                    if kind_probability[of_kind + e] > 0.0:
                         t = next_state[e]
                         row[first[t]] = r
                         first[t] += 1
@@ -223,9 +240,11 @@ def reach(
 @kernel(f"i8({_GRAPH}, i4[::1], b1[::1])")
 def rows_that_leave(
     state_row: Ints,
-    row_transition: Ints,
+    row_transition: SmallInts,
     next_state: SmallInts,
-    probability: Floats,
+    row_kind: SmallInts,
+    kind_first: Ints,
+    kind_probability: Floats,
     row_counts: Bools,
     component: SmallInts,
     gone: Bools,
@@ -240,8 +259,10 @@ def rows_that_leave(
         for r in range(state_row[s], state_row[s + 1]):
             if not row_counts[r]:
                 continue
-            for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
-                if probability[e] > 0.0 and component[next_state[e]] != component[s]:
+            begin, end = np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])
+            of_kind = np.uint64(kind_first[row_kind[r]]) - begin
+            for e in range(begin, end):
+                if kind_probability[of_kind + e] > 0.0 and component[next_state[e]] != component[s]:
                     row_counts[r] = False
                     taken += 1
                     break
@@ -265,9 +286,11 @@ def lowest_rows(state_row: Ints, row_counts: Bools, policy: SmallInts) -> None:
 @kernel(f"b1({_GRAPH}, i8, b1[::1])")
 def sweep_reach(
     state_row: Ints,
-    row_transition: Ints,
+    row_transition: SmallInts,
     next_state: SmallInts,
-    probability: Floats,
+    row_kind: SmallInts,
+    kind_first: Ints,
+    kind_probability: Floats,
     row_counts: Bools,
     sweeps: int,
     found: Bools,
@@ -282,8 +305,10 @@ def sweep_reach(
                 continue
             for r in range(state_row[s], state_row[s + 1]):
                 if row_counts[r]:
-                    for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
-                        if found[next_state[e]] and probability[e] > 0.0:
+                    begin, end = np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])
+                    of_kind = np.uint64(kind_first[row_kind[r]]) - begin
+                    for e in range(begin, end):
+                        if found[next_state[e]] and kind_probability[of_kind + e] > 0.0:
                             found[s] = True
                             break
                 if found[s]:
@@ -297,9 +322,11 @@ def sweep_reach(
 @kernel(f"b1({_GRAPH}, i8, b1[::1])")
 def sweep_attract(
     state_row: Ints,
-    row_transition: Ints,
+    row_transition: SmallInts,
     next_state: SmallInts,
-    probability: Floats,
+    row_kind: SmallInts,
+    kind_first: Ints,
+    kind_probability: Floats,
     row_counts: Bools,
     sweeps: int,
     gone: Bools,
@@ -316,8 +343,10 @@ def sweep_attract(
                 if not row_counts[r]:
                     continue
                 had = True
-                for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
-                    if gone[next_state[e]] and probability[e] > 0.0:
+                begin, end = np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])
+                of_kind = np.uint64(kind_first[row_kind[r]]) - begin
+                for e in range(begin, end):
+                    if gone[next_state[e]] and kind_probability[of_kind + e] > 0.0:
                         row_counts[r] = False
                         break
                 if row_counts[r]:
@@ -333,9 +362,11 @@ def sweep_attract(
 @kernel(f"i8({_GRAPH}, i8, i4[::1], i4[:, ::1])")
 def one_component(
     state_row: Ints,
-    row_transition: Ints,
+    row_transition: SmallInts,
     next_state: SmallInts,
-    probability: Floats,
+    row_kind: SmallInts,
+    kind_first: Ints,
+    kind_probability: Floats,
     row_counts: Bools,
     sweeps: int,
     component: SmallInts,
@@ -363,6 +394,18 @@ def one_component(
             component[s] = s
         return n
     back[first] = 1
+    # Where nothing found soon after the first state leads back to it, probably nothing does.
+    returns = n <= SOON
+    for s in range(min(n, SOON)):
+        if returns:
+            break
+        for r in range(state_row[s], state_row[s + 1]):
+            if row_counts[r]:
+                for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
+                    if next_state[e] == first and s != first:
+                        returns = True
+    if not returns:
+        return 0
     missing = True
     for sweep in range(sweeps):
         if not missing:
@@ -375,8 +418,10 @@ def one_component(
                 continue
             for r in range(state_row[s], state_row[s + 1]):
                 if row_counts[r] and back[s] == 0:
-                    for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
-                        if back[next_state[e]] == 1 and probability[e] > 0.0:
+                    begin, end = np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])
+                    of_kind = np.uint64(kind_first[row_kind[r]]) - begin
+                    for e in range(begin, end):
+                        if back[next_state[e]] == 1 and kind_probability[of_kind + e] > 0.0:
                             back[s] = 1
                             break
             if back[s] == 0:
@@ -396,10 +441,10 @@ def one_component(
             if component[s] == 1 and onward[s] == 1:
                 for r in range(state_row[s], state_row[s + 1]):
                     if row_counts[r]:
-                        for e in range(
-                            np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])
-                        ):
-                            if probability[e] > 0.0:
+                        begin, end = np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])
+                        of_kind = np.uint64(kind_first[row_kind[r]]) - begin
+                        for e in range(begin, end):
+                            if kind_probability[of_kind + e] > 0.0:
                                 onward[next_state[e]] = 1
         missing = False
         for s in range(n):
@@ -420,14 +465,16 @@ def one_component(
 
 
 @kernel(
-    "void(i8[::1], i8[::1], i4[::1], f8[::1], i8[::1], i4[::1], i4[::1], b1[::1], b1[::1], i4[::1],"
-    " i4[::1], i4[::1])"
+    "void(i8[::1], i4[::1], i4[::1], i4[::1], i8[::1], f8[::1], i8[::1], i4[::1], i4[::1], b1[::1],"
+    " b1[::1], i4[::1], i4[::1], i4[::1])"
 )
 def steer(
     state_row: Ints,
-    row_transition: Ints,
+    row_transition: SmallInts,
     next_state: SmallInts,
-    probability: Floats,
+    row_kind: SmallInts,
+    kind_first: Ints,
+    kind_probability: Floats,
     first: Ints,
     row: SmallInts,
     row_state: SmallInts,
@@ -467,8 +514,10 @@ def steer(
         for r in range(state_row[s], state_row[s + 1]):
             if chosen >= 0 or not row_counts[r]:
                 continue
-            for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
-                if probability[e] > 0.0 and distance[next_state[e]] < distance[s]:
+            begin, end = np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])
+            of_kind = np.uint64(kind_first[row_kind[r]]) - begin
+            for e in range(begin, end):
+                if kind_probability[of_kind + e] > 0.0 and distance[next_state[e]] < distance[s]:
                     chosen = r
                     break
         policy[s] = chosen

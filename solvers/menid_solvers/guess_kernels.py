@@ -5,25 +5,25 @@ from __future__ import annotations
 import numpy as np
 
 from menid_plan.compiled import kernel
-from menid_plan.mdp.model import Bools, Floats, Ints, Naturals
+from menid_plan.mdp.model import Bools, Floats, Ints, Naturals, SmallInts
 
-_ROWS = "i8[::1], i8[::1], u4[::1], f8[::1], f8[::1], f8[::1]"
+_ROWS = "i8[::1], i4[::1], u4[::1], i4[::1], f8[::1], f8[::1], f8[::1]"
 
 LIKELY = 0.05  # a guess is made from a row that leads with this probability to guessed values
 PASSES = 4
 
 
-@kernel(f"void(i8, i8, {_ROWS}, f8[::1], f8[::1], b1[::1])")
+@kernel(f"void(i8, i8, {_ROWS}, f8[::1], b1[::1])")
 def guess_values(
     first: int,
     last: int,
     first_row: Ints,
-    first_entry: Ints,
+    first_entry: SmallInts,
     target: Naturals,
+    row_weight: SmallInts,
     weight: Floats,
     constant: Floats,
     floor: Floats,
-    leak: Floats,
     x: Floats,
     guessed: Bools,
 ) -> None:
@@ -38,12 +38,14 @@ def guess_values(
             best = floor[u]
             for i in range(first_row[u], first_row[u + 1]):
                 value = constant[i]
-                known = leak[i]
-                for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+                known = weight[row_weight[i] - 1]
+                begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+                at = np.uint64(row_weight[i]) - begin
+                for k in range(begin, end):
                     t = target[k]
                     if t < first or guessed[t]:
-                        known += weight[k]
-                        value += weight[k] * x[t]
+                        known += weight[at + k]
+                        value += weight[at + k] * x[t]
                 if known >= LIKELY:
                     best = max(best, value / known)
             if best > -np.inf:
@@ -55,14 +57,14 @@ def guess_values(
             break
 
 
-@kernel("void(i8, i8, i8[::1], u4[::1], f8[::1], f8[::1], f8[::1], i8[::1], b1[::1])")
+@kernel("void(i8, i8, i4[::1], u4[::1], i4[::1], f8[::1], f8[::1], i8[::1], b1[::1])")
 def guess_stay(
     first: int,
     last: int,
-    first_entry: Ints,
+    first_entry: SmallInts,
     target: Naturals,
+    row_weight: SmallInts,
     weight: Floats,
-    leak: Floats,
     stay: Floats,
     policy: Ints,
     guessed: Bools,
@@ -81,14 +83,16 @@ def guess_stay(
                 guessed[u] = True
                 continue
             value = 1.0
-            known = leak[i]
-            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+            known = weight[row_weight[i] - 1]
+            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+            at = np.uint64(row_weight[i]) - begin
+            for k in range(begin, end):
                 t = target[k]
                 if t < first:
-                    known += weight[k]
+                    known += weight[at + k]
                 elif guessed[t]:
-                    known += weight[k]
-                    value += weight[k] * stay[t]
+                    known += weight[at + k]
+                    value += weight[at + k] * stay[t]
             if known >= LIKELY:
                 stay[u] = value / known
                 guessed[u] = True

@@ -12,6 +12,7 @@ import numpy as np
 from menid_plan.mdp.model import MDP, Bools, Floats
 from menid_plan.solving import Objective, Solution, StepPolicy
 from menid_solvers.bounds import ROUNDING, Limits
+from menid_solvers.graph import lowest_rows
 from menid_solvers.horizon_kernels import step_back
 
 
@@ -52,9 +53,8 @@ def solve_horizon(
         while done < horizon and not settled and not limits.reached:
             after = (np.empty(n), np.empty(n), np.empty(n))
             settled = step_back(
-                mdp.state_row, mdp.row_transition, mdp.next_state, mdp.probability, rows, reward,
-                discount, objective == "goal-then-reward", value, reached, best_reached, *after,
-                policy,
+                *mdp.graph, rows, reward, discount, objective == "goal-then-reward", value, reached,
+                best_reached, *after, policy,
             )  # fmt: skip
             value, reached, best_reached = after
             done += 1
@@ -131,7 +131,7 @@ def _longest_run(mdp: MDP, rows: Bools, most: int) -> float:
     for _ in range(most):
         after = np.empty(mdp.states)
         settled = step_back(
-            mdp.state_row, mdp.row_transition, mdp.next_state, mdp.probability, rows, ones, 1.0,
+            *mdp.graph, rows, ones, 1.0,
             False, value, zero, zero, after, np.empty(mdp.states), np.empty(mdp.states), policy,
         )  # fmt: skip
         if settled:
@@ -142,8 +142,7 @@ def _longest_run(mdp: MDP, rows: Bools, most: int) -> float:
 
 def rows_of_states(mdp: MDP, rows: Bools) -> Bools:
     """Which states (bool[n]) have a row that counts."""
-    total = np.concatenate(([0], np.cumsum(rows)))
-    return np.asarray(total[mdp.state_row[1:]] > total[mdp.state_row[:-1]])
+    return np.asarray(lowest_rows(mdp, rows) >= 0)
 
 
 def _bounds(

@@ -9,14 +9,16 @@ from menid_plan.mdp.model import Bools, Floats, Ints, SmallInts
 
 
 @kernel(
-    "b1(i8[::1], i8[::1], i4[::1], f8[::1], b1[::1], f8[::1], f8, b1,"
+    "b1(i8[::1], i4[::1], i4[::1], i4[::1], i8[::1], f8[::1], b1[::1], f8[::1], f8, b1,"
     " f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], i4[::1])"
 )
 def step_back(
     state_row: Ints,
-    row_transition: Ints,
+    row_transition: SmallInts,
     next_state: SmallInts,
-    probability: Floats,
+    row_kind: SmallInts,
+    kind_first: Ints,
+    kind_probability: Floats,
     active: Bools,
     reward: Floats,
     discount: float,
@@ -44,8 +46,10 @@ def step_back(
             for r in range(state_row[s], state_row[s + 1]):
                 if active[r]:
                     chance = 0.0
-                    for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
-                        chance += probability[e] * best_reached[next_state[e]]
+                    begin, end = np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])
+                    of_kind = np.uint64(kind_first[row_kind[r]]) - begin
+                    for e in range(begin, end):
+                        chance += kind_probability[of_kind + e] * best_reached[next_state[e]]
                     best_chance = max(best_chance, chance)
         for r in range(state_row[s], state_row[s + 1]):
             if not active[r]:
@@ -53,8 +57,10 @@ def step_back(
             total = reward[r]
             chance = 0.0
             best_of_row = 0.0
-            for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
-                p = probability[e]
+            begin, end = np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])
+            of_kind = np.uint64(kind_first[row_kind[r]]) - begin
+            for e in range(begin, end):
+                p = kind_probability[of_kind + e]
                 if p > 0.0:
                     t = next_state[e]
                     total += discount * p * value[t]

@@ -28,7 +28,7 @@ def solve_objective(
 ) -> Solution:
     """Solve an MDP for an objective."""
     limits = Limits(options.max_iterations, options.max_seconds, progress)
-    rows = np.repeat(~mdp.goal, np.diff(mdp.state_row))  # an episode ends at a goal
+    rows = mdp.rows_of(~mdp.goal)  # an episode ends at a goal
     if mdp.horizon is not None:
         return solve_horizon(mdp, rows, objective, options.epsilon, limits, options.policy_bytes)
     known = ~rows_of_states(mdp, rows)
@@ -60,7 +60,7 @@ def _steps(
 ) -> Solution:
     """The least expected number of steps among policies that reach the goal surely."""
     sure, sure_rows, _ = sure_reach(graph, rows, mdp.goal)
-    sure_rows &= sure[graph.row_state]
+    sure_rows &= mdp.rows_of(sure)
     cost = np.full(mdp.rows, -1.0)
     stage = total_reward(
         mdp, graph, sure_rows, cost, mdp.goal | ~sure, options.epsilon, limits, may_stay=False,

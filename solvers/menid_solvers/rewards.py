@@ -61,7 +61,7 @@ def total_reward(
     kept = rows.copy()
     graph.without(kept, ~fine)
     if may_stay:  # staying needs its rows, whatever else they were kept for
-        kept |= endings.inside & fine[graph.row_state]
+        kept |= endings.inside & mdp.rows_of(fine)
     endless = graph.reaching(kept, endings.growing & fine) & ~known
     doubtful = graph.reaching(rows, endings.open) & ~known
     doubtful |= graph.reaching(rows, endings.growing) & ~fine
@@ -98,7 +98,7 @@ def _finite(
     start: Floats | None,
 ) -> None:
     """Solve for the states that are not settled; rows (bool[r]) from them lead to no doom."""
-    counts = rows & ~settled[graph.row_state]
+    counts = rows & mdp.rows_of(~settled)
     merged = np.where(settled, np.int32(-1), endings.merged)
     inside = endings.inside & counts
     pays = endings.reward[counts]

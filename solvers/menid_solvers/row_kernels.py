@@ -8,11 +8,14 @@ from menid_plan.compiled import kernel
 from menid_plan.mdp.model import Bools, Floats, Ints, SmallInts
 
 
-@kernel("void(i8[::1], i4[::1], f8[::1], b1[::1], f8[::1], f8[::1])")
+@kernel("void(i8[::1], i4[::1], i4[::1], i4[::1], i8[::1], f8[::1], b1[::1], f8[::1], f8[::1])")
 def expect(
-    row_transition: Ints,
+    state_row: Ints,  # noqa: ARG001 - all that reads the graph takes the same arrays
+    row_transition: SmallInts,
     next_state: SmallInts,
-    probability: Floats,
+    row_kind: SmallInts,
+    kind_first: Ints,
+    kind_probability: Floats,
     row_counts: Bools,
     x: Floats,
     expected: Floats,
@@ -23,22 +26,26 @@ def expect(
             continue
         total = 0.0
         value = 0.0
-        for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
-            if probability[e] > 0.0:
-                total += probability[e]
-                value += probability[e] * x[next_state[e]]
+        begin, end = np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])
+        of_kind = np.uint64(kind_first[row_kind[r]]) - begin
+        for e in range(begin, end):
+            if kind_probability[of_kind + e] > 0.0:
+                total += kind_probability[of_kind + e]
+                value += kind_probability[of_kind + e] * x[next_state[e]]
         expected[r] = value / total
 
 
 @kernel(
-    "UniTuple(f8, 2)(i8[::1], i8[::1], i4[::1], f8[::1], b1[::1], f8[::1], i4[::1], f8, i8, f8[::1],"
-    " f8[::1])"
+    "UniTuple(f8, 2)(i8[::1], i4[::1], i4[::1], i4[::1], i8[::1], f8[::1], b1[::1], f8[::1], i4[::1],"
+    " f8, i8, f8[::1], f8[::1])"
 )
 def gain(
     state_row: Ints,
-    row_transition: Ints,
+    row_transition: SmallInts,
     next_state: SmallInts,
-    probability: Floats,
+    row_kind: SmallInts,
+    kind_first: Ints,
+    kind_probability: Floats,
     row_counts: Bools,
     reward: Floats,
     members: SmallInts,
@@ -63,8 +70,10 @@ def gain(
             for r in range(state_row[s], state_row[s + 1]):
                 if row_counts[r]:
                     value = reward[r]
-                    for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
-                        value += probability[e] * x[next_state[e]]
+                    begin, end = np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])
+                    of_kind = np.uint64(kind_first[row_kind[r]]) - begin
+                    for e in range(begin, end):
+                        value += kind_probability[of_kind + e] * x[next_state[e]]
                     best = max(best, value)
             change[j] = best - x[s]
             low = min(low, change[j])
@@ -79,12 +88,16 @@ def gain(
     return least, most
 
 
-@kernel("b1(i8[::1], i8[::1], i4[::1], f8[::1], b1[::1], f8[::1], i4[::1], i8, f8[::1])")
+@kernel(
+    "b1(i8[::1], i4[::1], i4[::1], i4[::1], i8[::1], f8[::1], b1[::1], f8[::1], i4[::1], i8, f8[::1])"
+)
 def potential(
     state_row: Ints,
-    row_transition: Ints,
+    row_transition: SmallInts,
     next_state: SmallInts,
-    probability: Floats,
+    row_kind: SmallInts,
+    kind_first: Ints,
+    kind_probability: Floats,
     row_counts: Bools,
     reward: Floats,
     members: SmallInts,
@@ -104,8 +117,10 @@ def potential(
             for r in range(state_row[s], state_row[s + 1]):
                 if row_counts[r]:
                     value = reward[r]
-                    for e in range(np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])):
-                        value += probability[e] * h[next_state[e]]
+                    begin, end = np.uint64(row_transition[r]), np.uint64(row_transition[r + 1])
+                    of_kind = np.uint64(kind_first[row_kind[r]]) - begin
+                    for e in range(begin, end):
+                        value += kind_probability[of_kind + e] * h[next_state[e]]
                     best = max(best, value)
             if best != h[s]:
                 h[s] = best

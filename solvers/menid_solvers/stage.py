@@ -71,13 +71,14 @@ def solve_core(
     if inside is None or graph is None or not bool(inside.any()):
         stage.policy[states] = row[unknown]
         return
-    owner = np.where(row >= 0, graph.row_state[row], -1)
+    row_state = mdp.row_state
+    owner = np.where(row >= 0, row_state[row], -1)
     owns = (owner[unknown] == states) & (row[unknown] >= 0)
     target = np.zeros(mdp.states, np.bool_)
     target[states[owns]] = True
     stay = lowest_rows(mdp, inside)
     stage.policy[states] = np.where(owns, row[unknown], stay[states])
-    of_row = core.unknown[graph.row_state]
+    of_row = core.unknown[row_state]
     leaving = inside & (row[of_row] >= 0) & (of_row >= 0)
     graph.steer(leaving, target, stage.policy)
 

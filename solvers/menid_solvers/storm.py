@@ -57,7 +57,7 @@ class Storm:
             raise UnsupportedError(f"storm takes every step; no horizon above {MAX_HORIZON}")
         if mdp.horizon is not None and objective == "goal-then-reward":
             raise UnsupportedError("storm cannot put the goal before the reward within a horizon")
-        rows = np.repeat(~mdp.goal, np.diff(mdp.state_row))
+        rows = mdp.rows_of(~mdp.goal)
         if objective == "goal-then-reward":
             lower, upper, policy, chance = self._goal_then_reward(mdp, rows)
         else:

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from menid_plan.compiled import kernel
-from menid_plan.mdp.model import Bools, Floats, Ints, Naturals
+from menid_plan.mdp.model import Bools, Floats, Ints, Naturals, SmallInts
 
-_ROWS = "i8[::1], i8[::1], u4[::1], f8[::1], f8[::1], f8[::1]"
+_ROWS = "i8[::1], i4[::1], u4[::1], i4[::1], f8[::1], f8[::1], f8[::1]"
 _TAKEN = "i8[::1], u4[::1], f8[::1], f8[::1]"
 
 
@@ -22,8 +22,9 @@ def sweep_all(
     last: int,
     upward: bool,
     first_row: Ints,
-    first_entry: Ints,
+    first_entry: SmallInts,
     target: Naturals,
+    row_weight: SmallInts,
     weight: Floats,
     constant: Floats,
     floor: Floats,
@@ -43,8 +44,10 @@ def sweep_all(
         chosen = -1
         for i in range(first_row[u], first_row[u + 1]):
             value = constant[i]
-            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
-                value += weight[k] * x[target[k]]
+            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+            at = np.uint64(row_weight[i]) - begin
+            for k in range(begin, end):
+                value += weight[at + k] * x[target[k]]
             if value > best:
                 best = value
                 chosen = i
@@ -67,8 +70,9 @@ def take_rows(
     first: int,
     last: int,
     first_row: Ints,  # noqa: ARG001 - all that reads rows takes the same arrays
-    first_entry: Ints,
+    first_entry: SmallInts,
     target: Naturals,
+    row_weight: SmallInts,
     weight: Floats,
     constant: Floats,
     floor: Floats,
@@ -79,7 +83,7 @@ def take_rows(
     taken_constant: Floats,
 ) -> None:
     """Copy the policy's rows side by side, counted from the block's first unknown."""
-    at = 0
+    copied = 0
     taken_first[0] = 0
     for u in range(first, last):
         i = policy[u]
@@ -87,11 +91,13 @@ def take_rows(
             taken_constant[u - first] = floor[u]
         else:
             taken_constant[u - first] = constant[i]
-            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
-                taken_target[at] = target[k]
-                taken_weight[at] = weight[k]
-                at += 1
-        taken_first[u - first + 1] = at
+            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+            at = np.uint64(row_weight[i]) - begin
+            for k in range(begin, end):
+                taken_target[copied] = target[k]
+                taken_weight[copied] = weight[at + k]
+                copied += 1
+        taken_first[u - first + 1] = copied
 
 
 @kernel(f"void(i8, i8, {_TAKEN}, f8[::1], f8[::1])")
@@ -133,8 +139,9 @@ def sweep_shortest_stay(
     last: int,
     tie: float,
     first_row: Ints,
-    first_entry: Ints,
+    first_entry: SmallInts,
     target: Naturals,
+    row_weight: SmallInts,
     weight: Floats,
     constant: Floats,
     floor: Floats,
@@ -154,8 +161,10 @@ def sweep_shortest_stay(
         best = floor[u]
         for i in range(first_row[u], first_row[u + 1]):
             value = constant[i]
-            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
-                value += weight[k] * x[target[k]]
+            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+            at = np.uint64(row_weight[i]) - begin
+            for k in range(begin, end):
+                value += weight[at + k] * x[target[k]]
             best = max(best, value)
         shortest = np.inf
         if floor[u] >= best - tie:
@@ -164,9 +173,11 @@ def sweep_shortest_stay(
         for i in range(first_row[u], first_row[u + 1]):
             value = constant[i]
             length = 1.0
-            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
-                value += weight[k] * x[target[k]]
-                length += weight[k] * stay[target[k]]
+            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+            at = np.uint64(row_weight[i]) - begin
+            for k in range(begin, end):
+                value += weight[at + k] * x[target[k]]
+                length += weight[at + k] * stay[target[k]]
             if value >= best - tie and length < shortest:
                 shortest = length
                 policy[u] = i
@@ -180,39 +191,62 @@ def sweep_shortest_stay(
     measured[2] = largest
 
 
-@kernel(f"void(i8, i8, f8, f8, {_ROWS}, f8[::1], i8[::1])")
+@kernel(f"void(i8, i8, f8, f8, {_ROWS}, f8[::1], f8[::1], i8[::1], f8[::1])")
 def choose_certified(
     first: int,
     last: int,
     tie: float,
     margin: float,
     first_row: Ints,
-    first_entry: Ints,
+    first_entry: SmallInts,
     target: Naturals,
+    row_weight: SmallInts,
     weight: Floats,
     constant: Floats,
     floor: Floats,
+    hi: Floats,
     lo: Floats,
     policy: Ints,
+    measured: Floats,
 ) -> None:
     """The lowest rows within tie of the best that raise lo by margin; else the policy stays.
 
     Such a policy leaves surely, and is worth lo: lo + margin <= T(lo) in each of its rows.
+    ``measured`` receives what `slack` does.
     """
+    above = np.inf
+    below = np.inf
     for u in range(first, last):
+        best_hi = floor[u]
         best = floor[u]
         for i in range(first_row[u], first_row[u + 1]):
+            high = constant[i]
             value = constant[i]
-            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
-                value += weight[k] * lo[target[k]]
+            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+            at = np.uint64(row_weight[i]) - begin
+            for k in range(begin, end):
+                high += weight[at + k] * hi[target[k]]
+                value += weight[at + k] * lo[target[k]]
+            best_hi = max(best_hi, high)
             best = max(best, value)
+        above = min(above, hi[u] - best_hi)
+        kept = policy[u]
+        worth = floor[u]
         for i in range(first_row[u], first_row[u + 1]):
             value = constant[i]
-            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
-                value += weight[k] * lo[target[k]]
+            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+            at = np.uint64(row_weight[i]) - begin
+            for k in range(begin, end):
+                value += weight[at + k] * lo[target[k]]
+            if i == kept:
+                worth = value
             if value >= best - tie and value >= lo[u] + margin:
                 policy[u] = i
+                worth = value
                 break
+        below = min(below, worth - lo[u])
+    measured[0] = above
+    measured[1] = below
 
 
 @kernel(f"void(i8, i8, {_ROWS}, f8[::1], f8[::1], i8[::1], f8[::1])")
@@ -220,8 +254,9 @@ def slack(
     first: int,
     last: int,
     first_row: Ints,
-    first_entry: Ints,
+    first_entry: SmallInts,
     target: Naturals,
+    row_weight: SmallInts,
     weight: Floats,
     constant: Floats,
     floor: Floats,
@@ -237,8 +272,10 @@ def slack(
         best = floor[u]
         for i in range(first_row[u], first_row[u + 1]):
             value = constant[i]
-            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
-                value += weight[k] * hi[target[k]]
+            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+            at = np.uint64(row_weight[i]) - begin
+            for k in range(begin, end):
+                value += weight[at + k] * hi[target[k]]
             best = max(best, value)
         above = min(above, hi[u] - best)
         i = policy[u]
@@ -246,50 +283,61 @@ def slack(
             value = floor[u]
         else:
             value = constant[i]
-            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
-                value += weight[k] * lo[target[k]]
+            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+            at = np.uint64(row_weight[i]) - begin
+            for k in range(begin, end):
+                value += weight[at + k] * lo[target[k]]
         below = min(below, value - lo[u])
     measured[0] = above
     measured[1] = below
 
 
-@kernel(f"void(i8, i8, f8, {_ROWS}, f8[::1], f8[::1], i8[::1], b1[::1])")
+@kernel(f"void(i8, i8, f8, b1, {_ROWS}, f8[::1], i8[::1], b1[::1])")
 def choose_policy(
     first: int,
     last: int,
     tie: float,
+    chosen_before: bool,
     first_row: Ints,
-    first_entry: Ints,
+    first_entry: SmallInts,
     target: Naturals,
+    row_weight: SmallInts,
     weight: Floats,
     constant: Floats,
     floor: Floats,
-    leak: Floats,
     x: Floats,
     policy: Ints,
     leaves: Bools,
 ) -> None:
     """The lowest rows within tie of the best, changed where they would never leave the block.
 
+    With ``chosen_before`` the policy has the best rows already.
+
     Leaving is sure if from every unknown the policy can leave (the block is finite). Unknowns from
     which it cannot take the best row that leads to one from which it can.
     """
     for u in range(first, last):
+        leaves[u] = False
+        if chosen_before:
+            continue
         best = floor[u]
         for i in range(first_row[u], first_row[u + 1]):
             value = constant[i]
-            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
-                value += weight[k] * x[target[k]]
+            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+            at = np.uint64(row_weight[i]) - begin
+            for k in range(begin, end):
+                value += weight[at + k] * x[target[k]]
             best = max(best, value)
         policy[u] = -1
         for i in range(first_row[u], first_row[u + 1]):
             value = constant[i]
-            for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
-                value += weight[k] * x[target[k]]
+            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+            at = np.uint64(row_weight[i]) - begin
+            for k in range(begin, end):
+                value += weight[at + k] * x[target[k]]
             if value >= best - tie:
                 policy[u] = i
                 break
-        leaves[u] = False
     left = last - first
     while left > 0:
         before = left
@@ -298,9 +346,11 @@ def choose_policy(
             if leaves[u]:
                 continue
             i = policy[u]
-            out = i < 0 or leak[i] > 0.0
+            out = i < 0 or weight[row_weight[i] - 1] > 0.0
             if not out:
-                for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+                begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+                at = np.uint64(row_weight[i]) - begin
+                for k in range(begin, end):
                     t = target[k]
                     if t < first or leaves[t]:
                         out = True
@@ -319,11 +369,13 @@ def choose_policy(
             if best > -np.inf:
                 chosen = -1
             for i in range(first_row[u], first_row[u + 1]):
-                out = leak[i] > 0.0
+                out = weight[row_weight[i] - 1] > 0.0
                 value = constant[i]
-                for k in range(np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])):
+                begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+                at = np.uint64(row_weight[i]) - begin
+                for k in range(begin, end):
                     t = target[k]
-                    value += weight[k] * x[t]
+                    value += weight[at + k] * x[t]
                     if t < first or leaves[t]:
                         out = True
                 if out and (chosen == -2 or value > best):
