@@ -596,7 +596,7 @@ def demands(lines: list[Line], arguments: argparse.Namespace) -> None:
             rows.append(
                 demand(f"{name}: {what}", found[0], bound, least=True, cores=found[1]),
             )
-    for size, count in ((20, 20_000_000),):
+    for size, count in ((21, 20_000_000),):
         model = machines(size, faults=faults_for(size, count))
         with tempfile.TemporaryDirectory() as folder:
             write_model(Path(folder), model)

@@ -47,7 +47,7 @@ def apply(
             add[change_word[change]] |= change_add[change]
 
 
-@kernel()
+@kernel(inline=True)
 def collect(
     outcome: int, words: int, extended: Any, word: Any, mask: Any, value: Any, outcome_delete: Any,
     outcome_add: Any, effect_entries: Any, effect_changes: Any, change_word: Any,
@@ -78,32 +78,33 @@ def collect(
 
 
 @kernel(inline=True)
-def hash_words(words: Any, count: int) -> Any:
-    """A well-mixed hash of some words (the finaliser of SplitMix64, Steele et al. 2014)."""
-    h = np.uint64(0x9E3779B97F4A7C15)
+def hash_words(words: Any, count: int, salt: Any) -> Any:
+    """A hash of some words: multilinear, so that no word waits for another (Lemire and Kaser 2014).
+
+    The finaliser is that of SplitMix64 (Steele et al. 2014).
+    """
+    h = np.uint64(0)
     for i in range(count):
-        h ^= words[i]
-        h = (h ^ (h >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-        h = (h ^ (h >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-        h ^= h >> np.uint64(31)
-    return h
+        h += (words[i] & np.uint64(0xFFFFFFFF)) * salt[2 * i]
+        h += (words[i] >> np.uint64(32)) * salt[2 * i + 1]
+    h = (h ^ (h >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    h = (h ^ (h >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return h ^ (h >> np.uint64(31))
 
 
 @kernel(inline=True)
-def place_of(table: Any, states: Any, key: Any, words: int) -> Any:
+def place_of(table: Any, states: Any, key: Any, words: int, salt: Any) -> Any:
     """Where in the table a state is, or the free place where it belongs."""
     size = np.uint64(len(table) - 1)
-    at = hash_words(key, words) & size
+    at = hash_words(key, words, salt) & size
     while True:
         number = int(table[at])
         if number < 0:
             return at
-        same = True
+        different = np.uint64(0)
         for i in range(words):
-            if states[number, i] != key[i]:
-                same = False
-                break
-        if same:
+            different |= states[number, i] ^ key[i]
+        if different == 0:
             return at
         at = (at + np.uint64(1)) & size
 
@@ -117,27 +118,29 @@ def ones(bits: Any) -> Any:
     return (b * np.uint64(0x0101010101010101)) >> np.uint64(56)
 
 
-@kernel("void(i4[::1], u8[:, ::1], i8)")
-def rehash(table: Any, states: Any, found: int) -> None:
+@kernel("void(i4[::1], u8[:, ::1], i8, u8[::1])")
+def rehash(table: Any, states: Any, found: int, salt: Any) -> None:
     """Fill an empty table with the states found so far."""
     size = np.uint64(len(table) - 1)
     words = states.shape[1]
     for number in range(found):
-        at = hash_words(states[number], words) & size
+        at = hash_words(states[number], words, salt) & size
         while table[at] >= 0:
             at = (at + np.uint64(1)) & size
         table[at] = number
 
 
-@kernel("i8(i4[::1], u8[:, ::1], i8, u8[:, ::1], i8, i4[::1])")
-def settle(table: Any, states: Any, found: int, new: Any, count: int, number: Any) -> int:
+@kernel("i8(i4[::1], u8[:, ::1], i8, u8[::1], u8[:, ::1], i8, i4[::1])")
+def settle(
+    table: Any, states: Any, found: int, salt: Any, new: Any, count: int, number: Any
+) -> int:
     """Number states, those that are new in order from ``found`` on; returns how many there are now.
 
     number[i] becomes that of new[i]. There must be room in the table and among the states.
     """
     words = states.shape[1]
     for i in range(count):
-        at = place_of(table, states, new[i], words)
+        at = place_of(table, states, new[i], words, salt)
         if table[at] < 0:
             table[at] = found
             for j in range(words):
@@ -161,9 +164,9 @@ def put_numbers(count: int, found_state: Any, number: Any, next_state: Any) -> N
     " i4[::1], i4[::1], i4[::1], u8[::1], u8[::1], i4[::1], f8[::1], i4[::1],"
     " u8[:, ::1], i4[:, ::1], i4[::1], i4[::1], i4[::1], i4[::1],"
     " u8[:, ::1], i4[:, ::1], i4[::1], i4[::1], i4[::1], i4[::1],"
-    " u1[::1], b1, i4[::1], u8[:, ::1], i8, i8, i8,"
+    " u1[::1], b1, i4[::1], u8[:, ::1], u8[::1], i8, i8, i8,"
     " i8[::1], i8[::1], b1[::1], f8[::1], i4[::1], i4[::1], i4[::1], u8[:, ::1],"
-    " i8[::1], u8[::1], u8[::1], u8[::1], u8[::1], u8[::1], u8[::1], u8[::1],"
+    " i8[::1], u8[::1], u8[::1], u8[::1], u8[::1], u8[:, ::1], i8[::1], u8[::1], u8[::1],"
     " u8[::1], u8[:, ::1])"
 )
 def expand(
@@ -181,13 +184,14 @@ def expand(
     effect_always_first: Any,
     slot_state: Any, noise_to_sink: bool,
     # What was found before, and which states to expand; alone, until so many are waiting (else 0).
-    table: Any, states: Any, first: int, last: int, alone: int,
+    table: Any, states: Any, salt: Any, first: int, last: int, alone: int,
     # What is found: counts = [next state to expand, rows, transitions, new states, all states].
     counts: Any, state_row: Any, goal: Any, state_reward: Any,
     row_rule: Any, row_transition: Any, next_state: Any, new: Any, clash: Any,
-    # Room to work in: the extended words, a bit for each rule, three times words; and for the program
+    # Room to work in: the extended words, a bit for each rule, twice words, the successors of a state
+    # and which transitions lead there; and for the program
     # all extended bits, 64 words, the planes of a count, the extended words of 64 states.
-    extended: Any, due: Any, successor: Any, delete: Any, add: Any,
+    extended: Any, due: Any, delete: Any, add: Any, successors: Any, leads: Any,
     sliced: Any, column: Any, planes: Any, block: Any,
 ) -> int:  # fmt: skip
     """Expand the states from counts[0] to last, as far as there are and have room; says why it stopped.
@@ -255,6 +259,7 @@ def expand(
                         watcher = np.uint64(rule_item[i])
                         due[watcher >> np.uint64(6)] |= np.uint64(1) << (watcher & np.uint64(63))
         previous = -1
+        waiting = 0
         for w_due in range(len(due)):
             while due[w_due]:
                 next_due = due[w_due] & (~due[w_due] + np.uint64(1))
@@ -281,6 +286,7 @@ def expand(
                             number = SINK_STATE
                     else:
                         moved = False
+                        successor = successors[waiting]
                         if outcome_effects[outcome] == outcome_effects[outcome + 1]:
                             for i in range(words):
                                 successor[i] = (
@@ -298,24 +304,30 @@ def expand(
                                 successor[i] = (extended[i] & ~delete[i]) | add[i]
                                 moved |= successor[i] != extended[i]
                         if moved:
-                            place = place_of(table, states, successor, words)
-                            number = int(table[place])
-                            if number < 0 and alone > 0:
-                                number = found
-                                table[place] = found
-                                for i in range(words):
-                                    states[found, i] = successor[i]
-                                found += 1
-                            elif number < 0:
-                                number = NEW - fresh
-                                for i in range(words):
-                                    new[fresh, i] = successor[i]
-                                fresh += 1
+                            leads[waiting] = transitions
+                            waiting += 1
                     next_state[transitions] = number
                     transitions += 1
                 row_rule[rows] = rule
                 rows += 1
                 row_transition[rows] = transitions
+        # All at once: looking one up need not wait for the memory that the one before waits for.
+        for i in range(waiting):
+            successor = successors[i]
+            place = place_of(table, states, successor, words, salt)
+            number = int(table[place])
+            if number < 0 and alone > 0:
+                number = found
+                table[place] = found
+                for w in range(words):
+                    states[found, w] = successor[w]
+                found += 1
+            elif number < 0:
+                number = NEW - fresh
+                for w in range(words):
+                    new[fresh, w] = successor[w]
+                fresh += 1
+            next_state[leads[i]] = number
         state += 1
         state_row[state - first] = rows
     counts[0], counts[1], counts[2], counts[3] = state, rows, transitions, fresh

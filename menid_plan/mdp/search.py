@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from hashlib import shake_256
 from itertools import pairwise
 from typing import Any
 
@@ -47,6 +48,8 @@ class Search:
         words = problem.tables.words
         self.expanded, self.found, self.rows, self.transitions = 0, 1, 0, 0
         self.table = np.full(4096, -1, np.int32)
+        # Numbers at random, but always the same.
+        self.salt = np.frombuffer(shake_256(b"states").digest(16 * words), np.uint64)
         # Memory that is not written to is not taken, so that there may be plenty from the start.
         self.words = np.empty((ROOM, words), np.uint64)
         self.words[0] = problem.initial
@@ -57,7 +60,7 @@ class Search:
         self.row_transition = np.empty(4 * ROOM + 1, np.int32)
         self.next_state = np.empty(16 * ROOM, np.int32)
         self.state_row[0] = self.row_transition[0] = 0
-        kernel.rehash(self.table, self.words, 1)
+        kernel.rehash(self.table, self.words, 1, self.salt)
 
     def run(self, progress: Progress | None) -> None:
         """Expand states until there are no more."""
@@ -103,7 +106,9 @@ class Search:
         states = last - chunk.first
         self.make_room(self.found + fresh, self.rows + rows, self.transitions + transitions)
         number = np.empty(fresh, np.int32)
-        self.found = kernel.settle(self.table, self.words, self.found, chunk.new, fresh, number)
+        self.found = kernel.settle(
+            self.table, self.words, self.found, self.salt, chunk.new, fresh, number
+        )
         entries = slice(self.transitions, self.transitions + transitions)
         kernel.put_numbers(transitions, chunk.next_state, number, self.next_state[entries])
         self.row_rule[self.rows : self.rows + rows] = chunk.row_rule[:rows]
@@ -131,7 +136,7 @@ class Search:
             self.table = np.empty(0, np.int32)
             demand(4.0 * size, self._so_far)
             self.table = np.full(size, -1, np.int32)
-            kernel.rehash(self.table, self.words, self.found)
+            kernel.rehash(self.table, self.words, self.found, self.salt)
 
     def _grow(self, needed: int, *names: str) -> None:
         """Make arrays longer by a third, or as long as needed, if there is memory for them all."""
@@ -194,8 +199,9 @@ class _Chunk:
         self.clash = np.zeros(3, np.int64)
         rule_bits = len(tables.rule_action) // 64 + 1
         words = tables.words
-        sizes = (tables.extended_words, rule_bits, words, words, words)
-        self.room = [np.zeros(length, np.uint64) for length in sizes]
+        sizes = (tables.extended_words, rule_bits, words, words)
+        self.room: list[Any] = [np.zeros(length, np.uint64) for length in sizes]
+        self.room += [np.zeros((most + 1, words), np.uint64), np.zeros(most, np.int64)]
         bits = 64 * tables.extended_words
         self.room += [np.zeros(length, np.uint64) for length in (bits, LANES, PLANES)]
         self.room.append(np.zeros((LANES, tables.extended_words), np.uint64))
@@ -231,7 +237,7 @@ class _Chunk:
             t.outcome_effects, t.effect_entries, t.effect_changes, t.change_word, t.change_delete,
             t.change_add, t.reward_entries, t.reward_value, t.goal_entries,
             *t.rule_watch.arrays(), *t.effect_watch.arrays(), search.happens, search.to_sink,
-            search.table, search.words, self.first, self.last, alone,
+            search.table, search.words, search.salt, self.first, self.last, alone,
             self.counts, self.state_row, self.goal, self.reward, self.row_rule,
             self.row_transition, self.next_state, self.new, self.clash, *self.room,
         ))  # fmt: skip

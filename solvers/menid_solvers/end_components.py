@@ -49,7 +49,7 @@ def tell_endings(mdp: MDP, graph: Graph, rows: Bools, reward: Floats) -> Endings
     growing = np.zeros(n, np.bool_)
     unsure = np.zeros(n, np.bool_)
     potential = np.zeros(n)
-    if not bool(np.any(reward[rows] >= 0.0)):  # what can be stayed in only costs
+    if not bool(np.any(rows & (reward >= 0.0))):  # what can be stayed in only costs
         nowhere = np.full(n, -1, np.int32)
         return Endings(growing, unsure, nowhere, np.zeros(mdp.rows, np.bool_), potential, reward)
     component, within = end_components(graph, rows)

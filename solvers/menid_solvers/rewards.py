@@ -21,12 +21,11 @@ def discounted_reward(
     core = build_core(
         mdp, rows=rows, reward=mdp.row_reward, discount=mdp.discount, known=known, known_value=zero
     )
-    rewards = mdp.row_reward[rows]
     sums = 1.0 / (1.0 - mdp.discount) * (1.0 + 1e-12)
     solve_core(
         mdp, core, stage, epsilon, limits, start=start,
-        lowest=min(0.0, float(np.min(rewards, initial=0.0)) * sums),
-        highest=max(0.0, float(np.max(rewards, initial=0.0)) * sums),
+        lowest=min(0.0, float(np.min(mdp.row_reward, initial=0.0, where=rows)) * sums),
+        highest=max(0.0, float(np.max(mdp.row_reward, initial=0.0, where=rows)) * sums),
     )  # fmt: skip
     return stage
 
@@ -101,7 +100,8 @@ def _finite(
     counts = rows & mdp.rows_of(~settled)
     merged = np.where(settled, np.int32(-1), endings.merged)
     inside = endings.inside & counts
-    pays = endings.reward[counts]
+    pays = bool(np.any(counts & (endings.reward > 0.0)))
+    costs = bool(np.any(counts & (endings.reward < 0.0)))
     number = int(merged.max(initial=-1)) + 1
     shift = endings.potential
     stops = [np.full(number, -np.inf)]
@@ -122,8 +122,8 @@ def _finite(
         upper = stage.upper.copy()
         solve_core(
             mdp, core, stage, epsilon, limits, start=start, graph=graph, inside=inside,
-            lowest=0.0 if plain and not np.any(pays < 0.0) else -np.inf,
-            highest=0.0 if plain and not np.any(pays > 0.0) else np.inf,
+            lowest=0.0 if plain and not costs else -np.inf,
+            highest=0.0 if plain and not pays else np.inf,
         )  # fmt: skip
         if stop is not stops[0]:
             stage.upper = upper
