@@ -12,10 +12,8 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import os
 import re
 import sys
-import tempfile
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -27,6 +25,8 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 from platformdirs import user_cache_path
+
+from menid_plan.files import replace_file
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -271,9 +271,7 @@ def _keep(name: str, prefix: str, content: bytes) -> None:
     for folder in _folders():
         with suppress(OSError):
             folder.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile(dir=folder, delete=False) as stream:
-                stream.write(content)
-            os.replace(stream.name, folder / name)
+            replace_file(folder / name, content)
             for old in folder.glob(f"{prefix}-*.o"):
                 if old.name != name:
                     old.unlink(missing_ok=True)

@@ -22,7 +22,8 @@ ALLOWED = {
     "model": {"source", "errors"},
     "language": {"source", "errors", "resources", "model"},
     "grounding": {"source", "errors", "model"},
-    "compiled": set(),
+    "files": set(),
+    "compiled": {"files"},
     "experience": {"source", "errors", "model", "grounding", "language"},
     "environments": {"source", "errors", "model", "grounding", "language", "mdp", "experience"},
     "memory": {"errors"},
@@ -44,6 +45,7 @@ ALLOWED = {
         "planning",
         "experience",
         "environments",
+        "files",
     },
     "studies": {"errors", "model", "grounding", "mdp", "solving", "experience", "environments"}
     | {"planning", "simulation", "learning"},
@@ -65,6 +67,7 @@ ALLOWED = {
         "simulation",
         "learning",
         "studies",
+        "files",
     },
 }
 # Which packages from elsewhere are imported in one place only.

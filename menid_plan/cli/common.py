@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import io
-import os
 import re
-import stat
 import sys
-import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 import click
 
 from menid_plan.errors import InputError
+from menid_plan.files import replace_file as replace_file
 from menid_plan.language.check import CheckResult
 from menid_plan.language.files import check_files
 from menid_plan.model.domain import Domain, Problem
@@ -162,35 +160,3 @@ def opened(output: Path | None) -> Iterator[TextIO]:
     buffer = io.StringIO()
     yield buffer
     replace_file(output, buffer.getvalue().encode("utf-8"))
-
-
-def replace_file(path: Path, data: bytes) -> None:
-    """Write a file in one step: a reader, or a crash, sees the old content or the new."""
-    target = path.resolve()  # a link stays a link
-    if target.exists() and not target.is_file():  # a device or a pipe can't be replaced
-        try:
-            target.write_bytes(data)
-        except OSError as error:
-            raise OSError(error.errno, error.strerror, str(path)) from error
-        return
-    mode = stat.S_IMODE(target.stat().st_mode) if target.exists() else 0o666 & ~_umask()
-    try:
-        handle, name = tempfile.mkstemp(prefix=".menid.", dir=target.parent)
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from error
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(name, mode)
-        os.replace(name, target)
-    except BaseException:
-        os.unlink(name)
-        raise
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import sys
-import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from menid_plan.cli.common import existing_file, json_option, load_both, print_plain, table
+from menid_plan.files import replacing
 
 if TYPE_CHECKING:
     from menid_plan.experience.reading import StoreReader
@@ -124,22 +122,8 @@ def _export(store: StoreReader, target: str) -> None:
             click.echo(line, nl=False)
         return
     # The lines may be many, so they go straight into a file, which appears only when it is whole.
-    final = Path(target).resolve()
-    handle, name = tempfile.mkstemp(prefix=".menid.", dir=final.parent)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-            file.writelines(lines)
-        if final.exists() and not final.is_file():  # a pipe or a device can't be replaced
-            with final.open("wb") as pipe, open(name, "rb") as written:
-                pipe.writelines(written)
-            os.unlink(name)
-        else:
-            os.chmod(name, final.stat().st_mode & 0o777 if final.exists() else 0o644)
-            os.replace(name, final)
-    except BaseException:
-        with contextlib.suppress(FileNotFoundError):
-            os.unlink(name)
-        raise
+    with replacing(Path(target)) as stream:
+        stream.writelines(line.encode() for line in lines)
 
 
 def _summary(store: StoreReader) -> dict[str, Any]:

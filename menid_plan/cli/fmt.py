@@ -7,8 +7,9 @@ from pathlib import Path
 
 import click
 
-from menid_plan.cli.common import existing_file, replace_file, report_diagnostics
+from menid_plan.cli.common import existing_file, report_diagnostics
 from menid_plan.errors import LimitError
+from menid_plan.files import replace_file
 from menid_plan.language.files import MAX_BYTES, check_files, load
 from menid_plan.language.layout import layout
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from menid_plan.cli.common import json_option, replace_file
+from menid_plan.cli.common import json_option
+from menid_plan.files import replace_file
 
 if TYPE_CHECKING:
     from menid_plan.learning.confidence import Method

@@ -8,7 +8,6 @@ what the store does not have.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict
@@ -23,6 +22,7 @@ from menid_plan.environments.settings import SettingError
 from menid_plan.errors import MenidError
 from menid_plan.experience.attribution import Attributor
 from menid_plan.experience.store import Store
+from menid_plan.files import replace_file
 from menid_plan.language.write import write
 from menid_plan.learning.clock import Clock, RealClock, VirtualClock
 from menid_plan.learning.counts import Evidence, learned_domain
@@ -155,7 +155,8 @@ class Run:
         """Write the domain with what was learned, and with the roles of this run."""
         roles = {spec.name: spec.role for spec in self.bound.environments}
         with _writing(self.folder):
-            _replace(self.folder / LEARNED, write(learned_domain(self.evidence, roles)))
+            learned = write(learned_domain(self.evidence, roles))
+            replace_file(self.folder / LEARNED, learned.encode())
 
     @property
     def failed(self) -> Mapping[str, int]:
@@ -187,7 +188,7 @@ class Run:
         try:
             _must_be_same(store, opened.settings, described)
             with _writing(self.folder):
-                _replace(settings, json.dumps(described, indent=2) + "\n")
+                replace_file(settings, (json.dumps(described, indent=2) + "\n").encode())
         except BaseException:
             opened.close()
             raise
@@ -308,15 +309,3 @@ def _writing(folder: Path) -> Iterator[None]:
 def _failure(folder: Path, error: OSError) -> str:
     where = error.filename or folder
     return f"cannot write `{where}`: {error.strerror or error}; when it can be, --resume goes on"
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write a file in one step."""
-    new = path.with_name(f".{path.name}.new")
-    try:
-        new.write_text(text, encoding="utf-8", newline="\n")
-        os.replace(new, path)
-    except OSError:
-        with suppress(OSError):
-            new.unlink()
-        raise
