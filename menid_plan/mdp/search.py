@@ -24,6 +24,7 @@ Progress = Callable[[int, int, int], None]
 
 STRETCH = 8192  # states that a thread expands before numbers are given
 ROOM = 2**16  # states for which there is room from the start
+LARGE = 2**26  # bytes
 MOST = 2**31 - 1  # transitions that can be numbered
 WORTH = 4096  # states that wait to be expanded from which on several threads share the work
 
@@ -139,12 +140,12 @@ class Search:
             kernel.rehash(self.table, self.words, self.found, self.salt)
 
     def _grow(self, needed: int, *names: str) -> None:
-        """Make arrays longer by a third, or as long as needed, if there is memory for them all."""
+        """Make arrays twice as long, large ones by a third, or as long as needed, if there is memory."""
         arrays = [getattr(self, name) for name in names]
         before = len(arrays[0])
         if needed + 1 <= before:
             return
-        more = max(needed + 1 - before, before // 3)
+        more = max(needed + 1 - before, before if arrays[0].nbytes < LARGE else before // 3)
         demand(float(sum(more * a.itemsize * (a.size // len(a)) for a in arrays)), self._so_far)
         for array in arrays:  # in place, so that large ones need not be copied
             array.resize((len(array) + more, *array.shape[1:]), refcheck=False)
