@@ -130,7 +130,10 @@ def work_menid(folder: Path, options: dict[str, Any]) -> dict[str, Any]:
             keys = np.repeat(np.arange(len(counts)), counts) * mdp.states + after
             result["merged"] += len(np.unique(keys))
     if options.get("arrays"):
-        np.savez(folder / "arrays.npz", *mdp.arrays())
+        np.savez(
+            folder / "arrays.npz", mdp.state_row, mdp.row_reward, mdp.row_transition, mdp.next_state,
+            mdp.probability,
+        )  # fmt: skip
     return result
 
 
@@ -178,7 +181,7 @@ def work_mdpsolver(folder: Path, _: dict[str, Any]) -> dict[str, Any]:
     """The package mdpsolver, from nested lists, with its default algorithm."""
     import mdpsolver
 
-    first, _, reward, start, after, chance, _ = (array.tolist() for array in arrays(folder))
+    first, reward, start, after, chance = (array.tolist() for array in arrays(folder))
     rewards, columns, chances = [], [], []
     for state in range(len(first) - 1):
         rows = range(first[state], first[state + 1])
@@ -202,7 +205,7 @@ def work_toolbox(folder: Path, _: dict[str, Any]) -> dict[str, Any]:
     from mdptoolbox.mdp import PolicyIterationModified
     from scipy.sparse import csr_matrix, diags_array
 
-    first, _, reward, start, after, chance, _ = arrays(folder)
+    first, reward, start, after, chance = arrays(folder)
     states = len(first) - 1
     matrix = csr_matrix((chance, after, start), shape=(len(reward), states))
     ends = np.diff(first) == 0

@@ -132,10 +132,3 @@ class MDP:
     def rows_of(self, states: Bools) -> Bools:
         """Which rows (bool[r]) are of some states (bool[n])."""
         return np.repeat(states, np.diff(self.state_row))
-
-    def arrays(self) -> tuple[NDArray[Any], ...]:
-        """The arrays in the order of the module's table."""
-        return (
-            self.state_row, self.row_kind, self.row_reward, self.row_transition, self.next_state,
-            self.kind_first, self.kind_probability, self.kind_action, self.goal,
-        )  # fmt: skip
