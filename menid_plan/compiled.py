@@ -280,9 +280,11 @@ def _keep(name: str, prefix: str, content: bytes) -> None:
 
 @lru_cache(maxsize=1)
 def _announce() -> None:
-    """Tell who watches that this takes long once."""
-    if sys.stderr.isatty():
-        print("compiling, as this is the first run: half a minute", file=sys.stderr)
+    """Tell that this takes long once."""
+    if sys.stderr is not None:  # it is where the caller closed it
+        print(
+            "compiling once, as this is the first run: half a minute", file=sys.stderr, flush=True
+        )
 
 
 @lru_cache(maxsize=64)

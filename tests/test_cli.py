@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import stat
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -470,3 +472,31 @@ def test_a_reserved_word_as_the_name_of_a_rule(word: str, menid: Menid) -> None:
     result = menid("check", "-", input=text)
     assert result.output.count("error[") == 1
     assert f"error[M102]: `{word}` is a reserved word" in result.output
+
+
+# Sends SIGINT as soon as a module is looked for, before anything else can.
+_INTERRUPT = """
+import os, signal, sys
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == last:
+            sys.meta_path.remove(self)
+            os.kill(os.getpid(), signal.SIGINT)
+last = sys.argv.pop(1)
+import menid_plan
+sys.meta_path.insert(0, Finder())
+from menid_plan.cli.main import main
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    "module",
+    ["click", "menid_plan.cli.common", "menid_plan.cli.solve", "menid_plan.planning", "numpy"],
+)
+def test_an_interrupt_while_modules_are_loaded_is_one_line(module: str, files: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _INTERRUPT, module, "solve", str(files / "both.menid")],
+        capture_output=True, check=False, text=True,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (6, "", "menid: interrupted\n")

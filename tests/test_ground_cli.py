@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -76,6 +77,9 @@ def test_prism_files(menid: Menid, tmp_path: Path) -> None:
     )
     result = menid("ground", "a.menid", "-o", "out")
     assert result.exit_code == 0
+    told = "".join(f"wrote out.{s}\n" for s in ("tra", "sta", "lab", "srew", "trew"))
+    assert result.stdout.endswith(f" MB\n{told}")
+    assert result.stderr == ""
     files = {s: (tmp_path / f"out.{s}").read_text().splitlines() for s in ("tra", "sta", "lab")}
     # State 0: nothing; 1: p, the goal; 2: q; 3: p and q, the goal.
     assert files["sta"][:3] == ["(p,q)", "0:(false,false)", "1:(true,false)"]
@@ -101,6 +105,19 @@ def test_prism_files(menid: Menid, tmp_path: Path) -> None:
     rewards = (tmp_path / "out.trew").read_text().splitlines()
     assert rewards[0] == "4 4 5"
     assert rewards[1:4] == ["0 0 0 2.0", "0 0 1 2.0", "0 0 2 2.0"]
+
+
+def test_what_is_written_is_told_beside_the_json(menid: Menid) -> None:
+    result = menid("ground", TRIANGLE, "-o", "model.drn", "--json")
+    assert json.loads(result.stdout)["states"] == 80
+    assert result.stderr == "wrote model.drn\n"
+
+
+def test_the_limit_says_how_many_states_were_found(menid: Menid) -> None:
+    result = menid("ground", TRIANGLE, "--max-states", "10")
+    found = re.search(r"(\d+) (?:states )?were found", result.output)
+    assert found is not None
+    assert 10 < int(found[1]) <= 80  # they are counted by stretches
 
 
 def test_storm_reads_the_drn_file(menid: Menid, tmp_path: Path) -> None:

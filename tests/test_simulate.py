@@ -266,10 +266,19 @@ def test_the_same_seed_gives_the_same_episodes(menid: Menid) -> None:
         return found
 
     by_solver = simulated("--policy", "value-iteration")
+    assert by_solver["policy_value"] is None
     assert by_solver == simulated("--policy", "value-iteration", "--seed", "0")
     by_file = simulated("--policy", "p.json")
     assert by_file["value"] is None
-    assert {**by_file, "value": by_solver["value"]} == by_solver
+    assert by_file["policy_value"] == by_solver["value"]
+    assert by_file["policy_lower"] <= by_file["policy_value"] <= by_file["policy_upper"]
+    values = [key for key in by_file if key == "value" or key.startswith("policy_")]
+    for found in (by_solver, by_file):
+        assert found["policy_status"] == "solved"
+        assert found["differs"] == {}
+        for key in values:
+            del found[key]
+    assert by_file == by_solver
     other = simulated("--policy", "p.json", "--seed", "1")
     assert other["traces"] != by_file["traces"]
     assert other["seed"] == 1
@@ -307,8 +316,16 @@ def test_a_policy_in_another_environment(menid: Menid, tmp_path: Path) -> None:
     real = ("simulate", "a.menid", "--policy", "p.json", "--env", "real")
     found = menid(*real)
     assert found.exit_code == 0, found.output
-    assert "policy       p.json, for reward, made for ideal\nenvironment  real\n" in found.output
-    assert json.loads(menid(*real, "--json").output)["goal_rate"] < 1
+    assert "policy       p.json, for reward\nenvironment  real\n" in found.output
+    said = (
+        "differs      the policy was made for environment ideal, here real. "
+        "So the mean may rightly be another"
+    )
+    assert said in " ".join(found.output.split()).replace("differs ", "differs      ")
+    other = json.loads(menid(*real, "--json").output)
+    assert other["goal_rate"] < 1
+    assert other["differs"] == {"environment": {"made": "ideal", "now": "real"}}
+    assert (other["policy_value"], other["policy_status"]) == (own["policy_value"], "solved")
 
 
 def test_params_and_noise_are_those_of_the_file(menid: Menid, tmp_path: Path) -> None:
@@ -321,8 +338,79 @@ def test_params_and_noise_are_those_of_the_file(menid: Menid, tmp_path: Path) ->
     options = ("simulate", "a.menid", "--policy", "p.json", "--json", "--episodes", "4000")
     own = json.loads(menid(*options).output)
     assert abs(own["mean"] - 6) < 4 * own["standard_error"]
+    assert (own["policy_value"], own["differs"]) == (6, {})
+    assert own["policy_lower"] <= 6 <= own["policy_upper"]
     other = json.loads(menid(*options, "--set", "pay=1", "--noise", "stay").output)
     assert abs(other["mean"] - 1) < 4 * other["standard_error"]
+    assert other["differs"] == {
+        "noise": {"made": "sink", "now": "stay"}, "param pay": {"made": "8.0", "now": "1.0"},
+    }  # fmt: skip
+    # What is said again differs in nothing.
+    assert json.loads(menid(*options, "--set", "pay=8").output)["differs"] == {}
+
+
+def test_the_mean_is_compared_with_the_value_of_the_file(menid: Menid, tmp_path: Path) -> None:
+    (tmp_path / "a.menid").write_text(walk(0.5, 0.25))
+    assert menid("solve", "a.menid", "-o", "p.json").exit_code == 0
+    simulate = ("simulate", "a.menid", "--policy", "p.json")
+    text = " ".join(menid(*simulate).output.split())
+    found = json.loads(menid(*simulate, "--json").output)
+    away = abs(found["mean"] - found["policy_value"]) / found["standard_error"]
+    value = f"{found['policy_value']:.6g}"
+    assert (
+        f"value {value} by the file, for the mean return, which is {away:.1f} standard err" in text
+    )
+    assert "differs" not in text
+    # Another objective is another mean, but the file's value is compared by its own.
+    other = json.loads(menid(*simulate, "--objective", "goal-probability", "--json").output)
+    assert other["objective_mean"] == other["goal_rate"]
+    assert other["differs"] == {"objective": {"made": "reward", "now": "goal-probability"}}
+    text = " ".join(menid(*simulate, "--objective", "goal-probability").output.split())
+    assert (
+        f"value {value} by the file, for the mean return, which is {away:.1f} standard err" in text
+    )
+    assert "made for objective reward, here goal-probability" in text
+    assert "rightly" not in text
+
+
+def test_a_mean_without_spread_is_told_beside_the_value(menid: Menid, tmp_path: Path) -> None:
+    (tmp_path / "a.menid").write_text(walk(1, 0))
+    assert menid("solve", "a.menid", "-o", "p.json").exit_code == 0
+    simulate = ("simulate", "a.menid", "--policy", "p.json", "--episodes")
+    assert "for the mean return; every episode gives 17\n" in menid(*simulate, "2").output
+    assert menid(*simulate, "1").output.endswith("for the mean return\n")
+
+
+def test_values_of_files_that_are_infinite_or_not_known(menid: Menid, tmp_path: Path) -> None:
+    text = "domain d action a { rule r { outcomes { o: 1 nothing reward R } } } problem t for d"
+    for reward, status, value in (("1", "unbounded", "inf"), ("-1", "infeasible", "-inf")):
+        (tmp_path / "a.menid").write_text(text.replace("R", reward))
+        assert menid("solve", "a.menid", "-o", "p.json").exit_code == 1
+        simulate = ("simulate", "a.menid", "--policy", "p.json", "--max-steps", "5")
+        assert f"value        {value} by the file, for the mean return\n" in menid(*simulate).output
+        found = json.loads(menid(*simulate, "--json").output)
+        assert (found["policy_value"], found["policy_status"]) == (None, status)
+    # Where every policy loses for ever any of them may be tried.
+    simulate = ("simulate", "a.menid", "--policy", "value-iteration", "--max-steps", "5")
+    assert "value        -inf by the solver" in menid(*simulate).output
+    file = tmp_path / "p.json"
+    known = json.loads(file.read_text())
+    file.write_text(json.dumps({**known, "status": "limit", "value": None, "upper": 3}))
+    output = menid("simulate", "a.menid", "--policy", "p.json", "--max-steps", "5").output
+    assert "p.json, for reward; its solver stopped early\n" in output
+    assert "not known by the file, for the mean return, but between -inf and 3\n" in output
+
+
+def test_options_of_a_solver(menid: Menid, tmp_path: Path) -> None:
+    (tmp_path / "a.menid").write_text(walk(0.5, 0.25))
+    simulate = ("simulate", "a.menid", "--episodes", "2", "--policy")
+    assert (
+        menid(*simulate, "thompson", "--option", "redraw=5", "--option", "warm=false").exit_code
+        == 0
+    )
+    result = menid(*simulate, "thompson", "--option", "draws=5")
+    assert result.exit_code == 2
+    assert "`thompson` has no option `draws`; its options: redraw, epsilon, warm" in result.output
 
 
 @pytest.mark.parametrize(
@@ -331,7 +419,7 @@ def test_params_and_noise_are_those_of_the_file(menid: Menid, tmp_path: Path) ->
         (["--policy", "magic"], 2, "`magic` is neither a file nor a solver; the solvers are: "),
         (["--policy", "none.json"], 2, "none.json: No such file"),
         (["--policy", "."], 2, ""),
-        (["--policy", "p.json", "--objective", "steps"], 2, "--objective is for a solver"),
+        (["--policy", "p.json", "--option", "tie=1"], 2, "--option is for a solver"),
         (["--policy", "p.json", "--epsilon", "1"], 2, "--epsilon is for a solver"),
         (["--policy", "p.json", "--max-seconds", "1"], 2, "--max-seconds is for a solver"),
         (["--policy", "policy-iteration", "--max-seconds", "1"], 2, "has no option --max-seconds"),

@@ -8,7 +8,9 @@ import signal
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -17,9 +19,11 @@ import pytest
 from click.testing import CliRunner, Result
 
 from conftest import ROOT
+from menid_plan.cli.common import load_both
 from menid_plan.cli.main import main
-from menid_plan.cli.tasks import Display
-from menid_plan.planning import Task
+from menid_plan.cli.tasks import Display, solver_options
+from menid_plan.exchange.drawing import drawing_of
+from menid_plan.planning import OptionError, Task
 
 Menid = Callable[..., Result]
 
@@ -49,7 +53,7 @@ KNOWN = {
 def solved(menid: Menid, *arguments: str) -> dict[str, Any]:
     result = menid("solve", *arguments, "--json")
     assert result.exit_code == 0, result.output
-    found: dict[str, Any] = json.loads(result.output)
+    found: dict[str, Any] = json.loads(result.stdout)
     return found
 
 
@@ -161,7 +165,7 @@ def test_a_solver_that_stops_early_tells_true_bounds(menid: Menid) -> None:
     for limit in (("--max-iterations", "3"), ("--max-seconds", "1e-9")):
         result = menid("solve", lake, "--json", "-o", "p.json", *limit)
         assert result.exit_code == 6
-        found = json.loads(result.output)
+        found = json.loads(result.stdout)
         assert found["status"] == "limit"
         assert found["lower"] <= 10.15873 <= found["upper"]
         assert json.loads(Path("p.json").read_text())["status"] == "limit"
@@ -172,8 +176,129 @@ def test_a_solver_that_stops_early_tells_true_bounds(menid: Menid) -> None:
 def test_a_value_that_is_not_known(menid: Menid) -> None:
     result = menid("solve", problem("tireworld/triangle-1"), "--max-seconds", "1e-9", "--json")
     found = json.loads(result.output)
-    if found["status"] == "limit" and found["lower"] == "-inf":
+    if found["status"] == "limit" and found["lower"] is None:
         assert found["value"] is None
+
+
+LOSING = "action a { rule r { outcomes { o: 1 p reward -3 } } } problem t for d"
+
+
+@pytest.mark.parametrize(
+    ("text", "arguments", "status", "value", "code"),
+    [
+        (ENDLESS, [], "unbounded", "inf, between inf and inf", 1),
+        (LOSING, [], "infeasible", "-inf, between -inf and -inf", 1),
+        (LOSING, ["--solver", "policy-iteration"], "infeasible", "-inf, between", 1),
+        (f"{ENDLESS} goal q", ["--objective", "steps"], "infeasible", "inf, between inf", 1),
+        (f"{LOSING} goal q", [], "solved", "0.0, between 0.0 and 0.0", 0),
+        (TIE, ["--max-seconds", "1e-9", "--epsilon", "1e-300"], "limit", None, 6),
+    ],
+)
+def test_infinite_values_are_words_in_the_text_and_null_in_the_json(
+    text: str, arguments: list[str], status: str, value: str | None, code: int,
+    menid: Menid, tmp_path: Path,
+) -> None:  # fmt: skip
+    (tmp_path / "a.menid").write_text(f"domain d predicate p predicate q reward 1 when true {text}")
+    result = menid("solve", "a.menid", *arguments)
+    assert result.exit_code == code
+    assert f"status            {status}" in result.output
+    assert value is None or f"value             {value}" in result.output
+    result = menid("solve", "a.menid", "--json", "-o", "p.json", *arguments)
+    assert result.exit_code == code
+    found = json.loads(result.stdout, parse_constant=pytest.fail)
+    assert found["status"] == status == json.loads(Path("p.json").read_text())["status"]
+    if code == 1:
+        assert (found["value"], found["lower"], found["upper"]) == (None, None, None)
+
+
+def test_written_files_are_told(menid: Menid) -> None:
+    bench = problem("hdd/bench")
+    result = menid("solve", bench, "-o", "p.json", "--dot", "a.dot")
+    assert result.stdout.endswith("iterations\nwrote p.json\nwrote a.dot\n")
+    assert result.stderr == ""
+    result = menid("solve", bench, "-o", "p.json", "--dot", "a.dot", "--json")
+    json.loads(result.stdout)
+    assert result.stderr == "wrote p.json\nwrote a.dot\n"
+    # What could be written is told even if the rest could not.
+    result = menid("solve", problem("slippery-grid/lake"), "-o", "p.json", "--dot", "a.dot")
+    assert result.exit_code == 6
+    assert "wrote p.json\nmenid: " in result.output
+    assert "wrote a.dot" not in result.output
+
+
+@pytest.mark.parametrize(
+    ("solver", "option", "message"),
+    [
+        ("value-iteration", "tie=1e-7", ""),
+        ("value-iteration", "policy-bytes=1000000", ""),
+        ("value-iteration", "max_iterations=500", ""),
+        (
+            "value-iteration",
+            "ties=1",
+            "has no option `ties`; its options: epsilon, max_iterations, ",
+        ),
+        (
+            "value-iteration",
+            "tie=much",
+            "option `tie`: `much` is not what it takes, which is a num",
+        ),
+        ("value-iteration", "tie=nan", "option `tie`: `nan` is not what it takes, which is a num"),
+        ("value-iteration", "policy_bytes=1.5", "`1.5` is not what it takes, which is a whole num"),
+        ("value-iteration", "epsilon=0", "the solver `value-iteration`: epsilon must be above 0"),
+        ("value-iteration", "tie", "`tie` is not of the form NAME=VALUE"),
+        ("value-iteration", "=1", "`=1` is not of the form NAME=VALUE"),
+        ("policy-iteration", "tie=1e-12", ""),
+        ("thompson", "redraw=2", "decides step by step"),
+    ],
+)
+def test_options_of_a_solver(solver: str, option: str, message: str, menid: Menid) -> None:
+    name = "hdd/bench" if solver == "value-iteration" else "tireworld/triangle-1"
+    result = menid("solve", problem(name), "--solver", solver, "--option", option)
+    assert message in result.output
+    if solver != "thompson":
+        assert result.exit_code == (2 if message else 0), result.output
+
+
+def test_an_option_of_a_solver_has_its_effect_and_is_set_once(menid: Menid) -> None:
+    lake = problem("slippery-grid/lake")
+    result = menid("solve", lake, "--option", "max-iterations=3", "--json")
+    assert (result.exit_code, json.loads(result.stdout)["status"]) == (6, "limit")
+    result = menid("solve", lake, "--option", "epsilon=0.1", "--epsilon", "0.1")
+    assert result.exit_code == 2
+    assert "`epsilon` is set twice, by --option and by --epsilon" in result.output
+
+
+@dataclass(frozen=True)
+class Odd:
+    switch: bool = False
+    word: str = "a"
+    either: int | float | None = None
+    several: tuple[int, ...] = ()
+
+
+def test_options_of_a_solver_by_their_types(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("menid_plan.solving.load_solver", lambda _: Odd)
+    given = {"switch": "True", "word": "b=c", "either": "0.5"}
+    assert solver_options("odd", given) == {"switch": True, "word": "b=c", "either": 0.5}
+    assert solver_options("odd", {"either": "5"}) == {"either": 5}
+    for name, text, said in (
+        ("switch", "yes", "true or false"),
+        ("either", "x", "a whole number or a number"),
+        ("several", "1", "nothing that can be written on the line"),
+    ):
+        with pytest.raises(OptionError, match=said):
+            solver_options("odd", {name: text})
+
+
+@pytest.mark.parametrize("command", ["solve", "simulate", "ground"])
+def test_one_file_or_standard_input_is_enough(command: str, menid: Menid) -> None:
+    text = menid(command, "--help").output
+    assert re.search(r"Usage: .* \[DOMAIN\] PROBLEM", text)
+    assert "One file may hold both DOMAIN and PROBLEM" in text
+    assert "`-`" in text
+    both = f"domain d predicate p {ENDLESS} horizon 2"
+    more = ["--policy", "value-iteration"] if command == "simulate" else []
+    assert menid(command, "-", *more, input=both).exit_code == 0
 
 
 # -------------------------------------------------------------------------------------- drawings
@@ -202,6 +327,47 @@ def test_drawings_of_horizons_show_the_steps_left(menid: Menid, tmp_path: Path) 
     text = (tmp_path / "a.dot").read_text()
     assert '[label="in(board, tray)\\n[lever(n8)]\\n1 to 10 left"]' in text
     assert '[label="in(board, tray)\\nloose(board)\\n[shake(s10)]\\n1 to 9 left"]' in text
+    # With one step left the episode ends where a loop would begin again.
+    assert '  n0 -> n2 [label="freed 0.85"];' in text
+    assert '  n0 -> n1 [label="2 to 10 left:\\nshifted 0.06"];' in text
+    assert '  n0 -> n0 [label="2 to 10 left:\\nheld 0.06\\nnoise 0.03"];' in text
+    assert '  n3 [label="horizon", fillcolor=gray85];' in text
+    assert '  n0 -> n3 [label="1 left:\\nshifted 0.06\\nheld 0.06\\nnoise 0.03"];' in text
+
+
+def test_arrows_of_a_horizon_say_when_they_are_taken(menid: Menid, tmp_path: Path) -> None:
+    rest = "domain d action a { rule r { outcomes { r: 1 nothing reward 1 } } } problem t for d"
+    (tmp_path / "a.menid").write_text(f"{rest} horizon 8")
+    assert menid("solve", "a.menid", "--dot", "a.dot").exit_code == 0
+    lines = (tmp_path / "a.dot").read_text().splitlines()
+    assert '  n0 -> n0 [label="2 to 8 left"];' in lines
+    assert '  n0 -> n1 [label="1 left"];' in lines
+    # At every number of steps left, what may come of a decision has probability 1.
+    name = problem("hdd/line")
+    task = Task(*load_both([name]))
+    task.build()
+    drawing = drawing_of(task.structure, task.mdp, task.solve(task.solver("value-iteration")))
+    for number, node in enumerate(drawing.nodes):
+        if not node.left:
+            continue
+        for left in steps_left(node.left):
+            chances = [
+                edge.probability
+                for edge in drawing.edges
+                if edge.source == number and left in steps_left(edge.left or node.left)
+            ]
+            assert sum(chances) == pytest.approx(1)
+
+
+def steps_left(text: str) -> range:
+    ends = [int(word) for word in re.findall(r"\d+", text)]
+    return range(ends[0], ends[-1] + 1)
+
+
+def test_a_drawing_of_what_is_not_known(menid: Menid, tmp_path: Path) -> None:
+    (tmp_path / "a.menid").write_text(f"domain d {OVERFLOW}")
+    assert menid("solve", "a.menid", "--dot", "a.dot").exit_code == 6
+    assert 'label="d, p: goal-then-reward not known"' in (tmp_path / "a.dot").read_text()
 
 
 @pytest.mark.parametrize("kind", ["--dot", "--png"])
@@ -351,7 +517,7 @@ def test_a_solver_that_does_not_catch_an_interrupt(
     result = menid("solve", problem("hdd/bench"), "--json")
     assert result.exit_code == 6
     found = json.loads(result.output)
-    assert (found["value"], found["lower"], found["upper"]) == (None, "-inf", "inf")
+    assert (found["value"], found["lower"], found["upper"]) == (None, None, None)
     assert "interrupted before anything was known" in (
         menid("solve", problem("hdd/bench")).output
     )  # fmt: skip
@@ -372,6 +538,27 @@ def test_progress_on_a_terminal_is_one_line(capsys: pytest.CaptureFixture[str]) 
     assert parts[1].startswith("exploring: 3 states found, 2 expanded, 5 transitions, ")
     assert parts[2].startswith("solving: 7 iterations, value between -1 and 2.5, ")
     assert parts[3:] == [""]  # cleared
+
+
+def test_on_a_terminal_the_time_goes_on_though_nothing_new_is_known(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Display, "STILL", 0.01)
+    display = Display()
+    display.terminal = True
+    display._next = 0.0
+    with display.during("starting"):  # kernels are compiled meanwhile
+        said, end = "", time.monotonic() + 20
+        while said.count("starting, ") < 3 and time.monotonic() < end:
+            time.sleep(0.02)
+            said += capsys.readouterr().err
+    assert re.match(r"(\r\x1b\[Kstarting, \d+\.\d s){3}", said)
+    assert capsys.readouterr().err.endswith("\r\x1b[K")
+    assert "\n" not in said
+    display.terminal = False
+    with display.during("starting"):
+        time.sleep(0.05)
+    assert capsys.readouterr().err == ""
 
 
 def test_short_work_is_silent(menid: Menid) -> None:

@@ -35,6 +35,7 @@ def test_all_about_one() -> None:
     text = run("value-iteration")
     assert "epsilon" in text
     assert "1e-06" in text
+    assert "\noptions, to be set by --option NAME=VALUE of solve and simulate:\n  epsilon " in text
     assert "``" not in text
 
 

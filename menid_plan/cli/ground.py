@@ -10,13 +10,13 @@ from typing import Any
 
 import click
 
-from menid_plan.cli.common import existing_file, json_option, load_both, setting_option
-from menid_plan.cli.tasks import Display
+from menid_plan.cli.common import json_option, load_both, setting_option
+from menid_plan.cli.tasks import Display, files_argument, max_states_option, tell_written
 from menid_plan.errors import LimitError
 
 
 @click.command("ground")
-@click.argument("files", nargs=-1, required=True, type=existing_file, metavar="DOMAIN PROBLEM")
+@files_argument
 @click.option(
     "--env", "environment", metavar="NAME", help="The environment; by default the target."
 )
@@ -25,7 +25,7 @@ from menid_plan.errors import LimitError
     "--noise", type=click.Choice(["stay", "sink"]), default="stay", show_default=True,
     help="Where the noise outcome leads: nowhere, or to an absorbing state.",
 )  # fmt: skip
-@click.option("--max-states", type=click.IntRange(1), default=50_000_000, show_default=True)
+@max_states_option
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path),
     help="Write the model: NAME.drn as DRN, else NAME.tra, .sta, .lab, .srew, .trew.",
@@ -42,6 +42,9 @@ def command(
 ) -> None:
     """Ground a problem and explore its reachable states.
 
+    One file may hold both DOMAIN and PROBLEM, and a domain is also looked for beside its problem; `-`
+    is standard input.
+
     Prints the number of facts, ground rules, states, transitions and dead ends, and what it took.
     """
     domain, problem = load_both(files)
@@ -56,7 +59,7 @@ def command(
     chances, happens = written(compiled, environment or domain.target)
     display = Display()
     try:
-        with display:
+        with display.during("exploring"):
             structure = explore(
                 compiled, happens, noise="sink" if noise == "sink" else "stay",
                 max_states=max_states, progress=display.exploring,
@@ -75,6 +78,7 @@ def command(
         "seconds": {"startup": startup, "ground": compiled.seconds, "explore": structure.seconds},
         "megabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }
+    paths: list[Path] = []
     if output is not None:
         mdp = structure.fill(chances)
         if output.suffix == ".drn":
@@ -82,9 +86,9 @@ def command(
             paths = [output]
         else:
             paths = write_prism(structure, mdp, output)
-        click.echo(f"wrote {', '.join(str(path) for path in paths)}", err=True)
     if as_json:
         click.echo(json.dumps(result, indent=2))
+        tell_written(paths, err=True)
         return
     for name in ("facts", "rules", "actions", "states", "rows", "transitions", "goals"):
         click.echo(f"{name:12} {result[name]}")
@@ -92,3 +96,4 @@ def command(
     seconds = ", ".join(f"{name} {value:.2f} s" for name, value in result["seconds"].items())
     click.echo(f"{'time':12} {seconds}")
     click.echo(f"{'memory':12} {result['megabytes']:.0f} MB")
+    tell_written(paths, err=False)

@@ -8,11 +8,15 @@ import os
 import sys
 from typing import Any
 
-import click
+try:
+    import click
 
-from menid_plan import __version__
-from menid_plan.cli.common import report_diagnostics
-from menid_plan.errors import InputError, MenidError
+    from menid_plan import __version__
+    from menid_plan.cli.common import report_diagnostics
+    from menid_plan.errors import InputError, MenidError
+except KeyboardInterrupt:  # no traceback for who changes their mind at once
+    print("menid: interrupted", file=sys.stderr)
+    raise SystemExit(6) from None
 
 # The module menid_plan.cli.NAME holds the function `command`.
 _COMMANDS = {

@@ -5,15 +5,23 @@ from __future__ import annotations
 import json
 import math
 import textwrap
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from menid_plan.cli.common import json_option, load_both
-from menid_plan.cli.tasks import Display, build, solve, task_options
+from menid_plan.cli.tasks import (
+    Display,
+    build,
+    number_json,
+    number_text,
+    solve,
+    solver_options,
+    task_options,
+)
 from menid_plan.errors import LimitError
 
 if TYPE_CHECKING:
@@ -38,12 +46,18 @@ _COMPARED = {
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """Where the actions come from; ``solution`` is None unless a solver made one beforehand."""
+    """Where the actions come from; ``solution`` is None unless a solver made one beforehand.
+
+    ``policy`` is that of a file, and ``differs`` says in what the task is another than that for which
+    it was made: how it was, and how it is.
+    """
 
     choose: Chooser
     text: str
     objective: Objective
     solution: Solution | None = None
+    policy: Policy | None = None
+    differs: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
 
 @click.command("simulate")
@@ -76,6 +90,7 @@ def command(
     epsilon: float | None,
     max_iterations: int | None,
     max_seconds: float | None,
+    written: dict[str, str],
     max_states: int,
     episodes: int,
     seed: int,
@@ -85,8 +100,11 @@ def command(
 ) -> None:
     """Draw episodes under a policy, and print what they earn on average.
 
-    With a policy from a file, the environment, the params and the noise are by default those for which
-    it was made. Exits with 1 if a solver finds no policy.
+    One file may hold both DOMAIN and PROBLEM, and a domain is also looked for beside its problem; `-`
+    is standard input.
+
+    With a policy from a file, the environment, the params, the noise and the objective are by default
+    those for which it was made. Exits with 1 if a solver finds no policy.
     """
     domain, problem = load_both(files)
     import numpy as np
@@ -95,8 +113,10 @@ def command(
 
     options = {"epsilon": epsilon, "max_iterations": max_iterations, "max_seconds": max_seconds}
     policy = None
-    if not _is_solver(source):
-        for name, value in {"objective": objective, **options}.items():
+    if _is_solver(source):
+        options = solver_options(source, written, **options)
+    else:
+        for name, value in {**options, "option": written or None}.items():
             if value is not None:
                 option = name.replace("_", "-")
                 raise click.UsageError(f"--{option} is for a solver; `{source}` is a file")
@@ -111,11 +131,13 @@ def command(
     display = Display()
     if policy is not None:
         build(task, display)
-        plan = _of_file(task, policy, source)
+        plan = _of_file(task, policy, source, objective)
     else:
         plan = _of_solver(task, source, objective, options, rng, display)
-    if plan.solution is not None and plan.solution.status in ("unbounded", "infeasible"):
-        click.echo(f"menid: {plan.solution.status}: {plan.solution.message}", err=True)
+    solution = plan.solution
+    if solution is not None and float(solution.lower[solution.initial]) == math.inf:
+        # Of rewards without bound, or a goal that is never sure; where all is lost any policy will do.
+        click.echo(f"menid: {solution.status}: {solution.message}", err=True)
         ctx.exit(1)
     simulator = task.simulator()
     drawn = _run(simulator, plan, episodes, rng, max_steps, trace=trace)
@@ -149,12 +171,31 @@ def _read(source: str, domain: Domain, problem: Problem) -> Policy:
     return read_policy(path.read_bytes(), domain, problem, source)
 
 
-def _of_file(task: Task, policy: Policy, source: str) -> _Plan:
+def _of_file(task: Task, policy: Policy, source: str, objective: Objective | None) -> _Plan:
     from menid_plan.policy import file_chooser
 
-    made = "" if policy.environment == task.environment else f", made for {policy.environment}"
-    text = f"{source}, for {policy.objective}{made}"
-    return _Plan(file_chooser(policy, task.simulator(), source), text, policy.objective)
+    wanted = objective or policy.objective
+    early = "; its solver stopped early" if policy.status == "limit" else ""
+    text = f"{source}, for {policy.objective}{early}"
+    return _Plan(
+        file_chooser(policy, task.simulator(), source), text, wanted, policy=policy,
+        differs=_differences(task, policy, wanted),
+    )  # fmt: skip
+
+
+def _differences(task: Task, policy: Policy, objective: Objective) -> dict[str, tuple[str, str]]:
+    """In what a task is another than the one that a policy was made for: how it was, how it is."""
+    from menid_plan.model.domain import param_values
+
+    made = param_values(task.domain, task.problem, policy.params)
+    now = param_values(task.domain, task.problem, task.params)
+    pairs = {
+        "environment": (policy.environment, task.environment),
+        "noise": (policy.noise, task.noise),
+        "objective": (policy.objective, objective),
+        **{f"param {name}": (str(made[name]), str(now[name])) for name in task.params},
+    }
+    return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
 
 
 def _of_solver(
@@ -197,7 +238,7 @@ def _run(
     try:
         return simulator.run(
             plan.choose, episodes, rng, max_steps=max_steps, trace=trace,
-            hopeless=plan.objective == "goal-then-reward",
+            hopeless="goal-then-reward" in (plan.objective, plan.policy and plan.policy.objective),
         )  # fmt: skip
     except KeyboardInterrupt:
         raise LimitError("interrupted while episodes were drawn") from None
@@ -209,25 +250,21 @@ def _shown(estimate: Estimate) -> str:
     return f"{estimate.mean:.6g} +- {estimate.error:.2g}"
 
 
-def _json_number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
 def _result(task: Task, plan: _Plan, drawn: Episodes, seed: int) -> dict[str, Any]:
     """What is printed, by the keys of the JSON."""
     from menid_plan.policy import known_value
-    from menid_plan.policy_file import number_json
     from menid_plan.simulation import Estimate
 
     returns, rate = Estimate.of(drawn.returns), Estimate.of(drawn.goal)
     compared = drawn.of_objective(plan.objective)
-    value = None if plan.solution is None else number_json(known_value(plan.solution))
+    solution, policy = plan.solution, plan.policy
+    by = policy or solution
     result: dict[str, Any] = {
         "episodes": len(drawn.returns),
         "mean": returns.mean,
-        "standard_error": _json_number(returns.error),
+        "standard_error": number_json(returns.error),
         "goal_rate": rate.mean if task.mdp.has_goal else None,
-        "goal_rate_error": _json_number(rate.error) if task.mdp.has_goal else None,
+        "goal_rate_error": number_json(rate.error) if task.mdp.has_goal else None,
         "steps": float(drawn.steps.mean()),
         "cut": int(drawn.cut.sum()),
         "max_steps": drawn.max_steps,
@@ -235,8 +272,13 @@ def _result(task: Task, plan: _Plan, drawn: Episodes, seed: int) -> dict[str, An
         "environment": task.environment,
         "objective": plan.objective,
         "objective_mean": compared.mean,
-        "objective_error": _json_number(compared.error),
-        "value": value,
+        "objective_error": number_json(compared.error),
+        "value": None if solution is None else number_json(known_value(solution)),
+        "policy_value": None if policy is None else number_json(policy.value),
+        "policy_lower": None if policy is None else number_json(policy.lower),
+        "policy_upper": None if policy is None else number_json(policy.upper),
+        "policy_status": None if by is None else by.status,
+        "differs": {name: {"made": made, "now": now} for name, (made, now) in plan.differs.items()},
     }
     if drawn.traces is not None:
         result["traces"] = [list(_steps(task, drawn, i)) for i in range(len(drawn.returns))]
@@ -244,6 +286,7 @@ def _result(task: Task, plan: _Plan, drawn: Episodes, seed: int) -> dict[str, An
 
 
 def _summary(task: Task, plan: _Plan, drawn: Episodes, seed: int) -> Iterator[tuple[str, str]]:
+    from menid_plan.policy import known_value
     from menid_plan.simulation import Estimate
 
     discount = task.mdp.discount
@@ -258,8 +301,21 @@ def _summary(task: Task, plan: _Plan, drawn: Episodes, seed: int) -> Iterator[tu
         yield "goal rate", _shown(Estimate.of(drawn.goal))
     yield "steps", _shown(Estimate.of(drawn.steps))
     yield "cut", _cut(task, drawn)
-    if plan.solution is not None:
-        yield "value", _value(plan.solution, drawn)
+    solution, policy = plan.solution, plan.policy
+    if solution is not None:
+        value, first = known_value(solution), solution.initial
+        bounds = float(solution.lower[first]), float(solution.upper[first])
+        yield "value", _value("the solver", solution.objective, value, bounds, drawn)
+    if policy is not None:
+        bounds = policy.lower, policy.upper
+        yield "value", _value("the file", policy.objective, policy.value, bounds, drawn)
+    if plan.differs:
+        was = "; ".join(f"{name} {made}, here {now}" for name, (made, now) in plan.differs.items())
+        # The value is compared by the objective that it is for.
+        rightly = (
+            "" if plan.differs.keys() == {"objective"} else ". So the mean may rightly be another"
+        )
+        yield "differs", f"the policy was made for {was}{rightly}"
 
 
 def _cut(task: Task, drawn: Episodes) -> str:
@@ -274,19 +330,20 @@ def _cut(task: Task, drawn: Episodes) -> str:
     return text + (", and counts as no goal" if task.mdp.has_goal else "")
 
 
-def _value(solution: Solution, drawn: Episodes) -> str:
-    from menid_plan.policy import known_value
-
-    value = known_value(solution)
-    if not math.isfinite(value):
-        low, high = float(solution.lower[solution.initial]), float(solution.upper[solution.initial])
-        return f"not known, between {low:g} and {high:g}"
-    estimate = drawn.of_objective(solution.objective)
-    text = f"{value:.6g} by the solver, for {_COMPARED[solution.objective]}"
-    if estimate.error > 0.0:
-        away = abs(estimate.mean - value) / estimate.error
-        text += f", which is {away:.1f} standard errors away"
-    return text
+def _value(
+    who: str, objective: Objective, value: float, bounds: tuple[float, float], drawn: Episodes
+) -> str:
+    """What a policy is said to be worth, and how far the mean is from that."""
+    text = f"{number_text(value, '.6g')} by {who}, for {_COMPARED[objective]}"
+    if math.isnan(value):
+        return f"{text}, but between {bounds[0]:g} and {bounds[1]:g}"
+    estimate = drawn.of_objective(objective)
+    if math.isinf(value) or math.isnan(estimate.error):
+        return text
+    if estimate.error == 0.0:
+        return f"{text}; every episode gives {estimate.mean:.6g}"
+    away = abs(estimate.mean - value) / estimate.error
+    return f"{text}, which is {away:.1f} standard errors away"
 
 
 # ----------------------------------------------------------------------------------------- traces

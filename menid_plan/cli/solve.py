@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from menid_plan.cli.common import distinct_outputs, json_option, load_both, opened, replace_file
-from menid_plan.cli.tasks import Display, build, solve, task_options
+from menid_plan.cli.tasks import (
+    Display,
+    build,
+    number_json,
+    number_text,
+    solve,
+    solver_options,
+    task_options,
+    tell_written,
+)
 from menid_plan.errors import MenidError
 
 if TYPE_CHECKING:
@@ -44,6 +54,7 @@ def command(
     epsilon: float | None,
     max_iterations: int | None,
     max_seconds: float | None,
+    written: dict[str, str],
     max_states: int,
     output: Path | None,
     dot: Path | None,
@@ -52,8 +63,11 @@ def command(
 ) -> None:
     """Find the best policy for an environment, and enclose its value.
 
-    Exits with 1 if the value is unbounded or the objective can't be met, with 6 if the solver stopped
-    early or was interrupted; the bounds are true all the same.
+    One file may hold both DOMAIN and PROBLEM, and a domain is also looked for beside its problem; `-`
+    is standard input.
+
+    Exits with 1 if the best value is infinite (unbounded rewards, or an objective that can't be met),
+    with 6 if the solver stopped early or was interrupted; the bounds are true all the same.
     """
     domain, problem = load_both(files)
     begin = time.perf_counter()
@@ -64,25 +78,28 @@ def command(
     task = Task(
         domain, problem, environment, settings, "sink" if noise == "sink" else "stay", max_states
     )
-    solver = task.solver(
-        name, epsilon=epsilon, max_iterations=max_iterations, max_seconds=max_seconds
+    options = solver_options(
+        name, written, epsilon=epsilon, max_iterations=max_iterations, max_seconds=max_seconds
     )
-    warm()
-    task.warm(solver)
-    startup = time.perf_counter() - begin
+    solver = task.solver(name, **options)
     display = Display()
+    with display.during("starting"):
+        warm()
+        task.warm(solver)
+    startup = time.perf_counter() - begin
     build(task, display)
     solution = solve(task, solver, objective, display)
-    result = _result(task, solution, startup)
+    paths: list[Path] = []
     failure = None
     try:  # files first: who reads our output may leave early
-        _write(task, solution, output, dot, png)
+        paths.extend(_written(task, solution, output, dot, png))
     except (MenidError, OSError) as error:
         failure = error
     if as_json:
-        click.echo(json.dumps(result, indent=2))
+        click.echo(json.dumps(_result(task, solution, startup), indent=2))
     else:
-        _show(result, solution.message)
+        _show(task, solution, startup)
+    tell_written(paths, err=as_json)
     if failure is not None:
         raise failure
     if solution.status in ("unbounded", "infeasible"):
@@ -91,13 +108,25 @@ def command(
         ctx.exit(6)
 
 
+def _seconds(task: Task, solution: Solution, startup: float) -> dict[str, float]:
+    return {
+        "startup": startup,
+        "ground": task.structure.problem.seconds,
+        "explore": task.structure.seconds,
+        "solve": solution.seconds,
+    }
+
+
+def _action(task: Task, solution: Solution) -> str | None:
+    chosen = int(solution.policy[solution.initial])
+    return None if chosen < 0 else str(task.action(chosen))
+
+
 def _result(task: Task, solution: Solution, startup: float) -> dict[str, Any]:
     """What is printed, by the keys of the JSON."""
     from menid_plan.policy import known_value
-    from menid_plan.policy_file import number_json
 
     first = solution.initial
-    chosen = int(solution.policy[first])
     goal = solution.goal_probability
     return {
         "status": solution.status,
@@ -105,28 +134,25 @@ def _result(task: Task, solution: Solution, startup: float) -> dict[str, Any]:
         "value": number_json(known_value(solution)),
         "lower": number_json(float(solution.lower[first])),
         "upper": number_json(float(solution.upper[first])),
-        "goal_probability": None if goal is None else float(goal[first]),
+        "goal_probability": None if goal is None else number_json(float(goal[first])),
         "states": task.structure.states,
         "transitions": len(task.structure.next_state),
         "iterations": solution.iterations,
-        "seconds": {
-            "startup": startup,
-            "ground": task.structure.problem.seconds,
-            "explore": task.structure.seconds,
-            "solve": solution.seconds,
-        },
-        "action": None if chosen < 0 else str(task.action(chosen)),
+        "seconds": _seconds(task, solution, startup),
+        "action": _action(task, solution),
     }
 
 
-def _write(
+def _written(
     task: Task, solution: Solution, output: Path | None, dot: Path | None, png: Path | None
-) -> None:
+) -> Iterator[Path]:
+    """Write the files that are asked for; gives each when it is there."""
     if output is not None:
         from menid_plan.policy_file import policy_text
 
         with opened(output) as stream:
             stream.write(policy_text(task.policy(solution)))
+        yield output
     if dot is None and png is None:
         return
     from menid_plan.exchange.drawing import dot_text, drawing_of
@@ -135,21 +161,33 @@ def _write(
     if dot is not None:
         with opened(dot) as stream:
             stream.write(dot_text(drawing))
+        yield dot
     if png is not None:
         from menid_plan.exchange.picture import png_bytes
 
         replace_file(png, png_bytes(drawing))
+        yield png
 
 
-def _show(result: dict[str, Any], message: str) -> None:
-    status = f"{result['status']}: {message}" if message else result["status"]
-    value = "not known" if result["value"] is None else result["value"]
+def _show(task: Task, solution: Solution, startup: float) -> None:
+    from menid_plan.policy import known_value
+
+    first, goal = solution.initial, solution.goal_probability
+    status = f"{solution.status}: {solution.message}" if solution.message else solution.status
+    low, high = float(solution.lower[first]), float(solution.upper[first])
     click.echo(f"status            {status}")
-    click.echo(f"objective         {result['objective']}")
-    click.echo(f"value             {value}, between {result['lower']} and {result['upper']}")
-    if result["goal_probability"] is not None:
-        click.echo(f"goal probability  {result['goal_probability']:.6g}")
-    click.echo(f"first action      {result['action'] or 'none'}")
-    click.echo(f"size              {result['states']} states, {result['transitions']} transitions")
-    seconds = ", ".join(f"{name} {value:.2f} s" for name, value in result["seconds"].items())
-    click.echo(f"time              {seconds}, {result['iterations']} iterations")
+    click.echo(f"objective         {solution.objective}")
+    click.echo(
+        f"value             {number_text(known_value(solution))}, "
+        f"between {number_text(low)} and {number_text(high)}"
+    )
+    if goal is not None:
+        click.echo(f"goal probability  {number_text(float(goal[first]), '.6g')}")
+    click.echo(f"first action      {_action(task, solution) or 'none'}")
+    structure = task.structure
+    click.echo(
+        f"size              {structure.states} states, {len(structure.next_state)} transitions"
+    )
+    spans = _seconds(task, solution, startup).items()
+    seconds = ", ".join(f"{name} {value:.2f} s" for name, value in spans)
+    click.echo(f"time              {seconds}, {solution.iterations} iterations")

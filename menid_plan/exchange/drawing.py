@@ -1,11 +1,13 @@
 """What a policy does, as a graph to be drawn: its decisions, where they lead, and how probably.
 
 A node is a decision: a state with the action that is taken there (and, with a horizon, the numbers of
-steps left for which it is). States where an episode ends are nodes too.
+steps left for which it is). States where an episode ends are nodes too, and so is the horizon. Where
+it depends on the steps left to which decision an outcome leads, its edges say for which they are.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -16,7 +18,7 @@ from menid_plan.grounding.state import SINK
 from menid_plan.mdp.explore import Structure
 from menid_plan.mdp.model import MDP
 from menid_plan.model.formulas import GroundAtom
-from menid_plan.policy import decisions
+from menid_plan.policy import decisions, known_value
 from menid_plan.solving import Solution
 
 MAX_NODES = 60
@@ -43,11 +45,15 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class Edge:
-    """What may come of a decision: outcomes with their probabilities, by numbers of nodes."""
+    """What may come of a decision: outcomes with their probabilities, by numbers of nodes.
+
+    ``left`` is the range of steps left in words in which it may, or empty: whenever it is taken.
+    """
 
     source: int
     target: int
     outcomes: tuple[tuple[str, float], ...]
+    left: str = ""
 
     @property
     def probability(self) -> float:
@@ -56,10 +62,11 @@ class Edge:
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """Each outcome with its probability; nothing where there is no other way to go."""
+        """When it may be, and each outcome with its probability, but for the only way to go."""
+        when = (f"{self.left}:",) if self.left else ()
         if len(self.outcomes) == 1 and self.probability == 1.0:
-            return ()
-        return tuple(f"{name} {chance:.3g}" for name, chance in self.outcomes)
+            return tuple(line.rstrip(":") for line in when)
+        return (*when, *(f"{name} {chance:.3g}" for name, chance in self.outcomes))
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,13 +157,22 @@ class _Graph:
             return
         for number in known:
             other = self.nodes[number]
-            if other.row >= 0 and other.least <= node.most - 1 and other.most >= node.least - 1:
+            least, most = self._when(node, other)
+            if other.row >= 0 and least <= most:
                 yield number
-        if node.most == 1:
+        if node.least == 1:
             if self._horizon < 0:
                 self._horizon = len(self.nodes)
                 self.nodes.append(_Found(-1))
             yield self._horizon
+
+    def _when(self, node: _Found, target: _Found) -> tuple[int, int]:
+        """The steps left with which a decision leads to a node (none: the first is the larger)."""
+        if target.state < 0:
+            return 1, 1
+        if target.row < 0:
+            return node.least, node.most
+        return max(node.least, target.least + 1), min(node.most, target.most + 1)
 
     def _end(self, state: int) -> int:
         if state not in self._by_state:
@@ -169,17 +185,25 @@ class _Graph:
         labels = self._labels()
         nodes = tuple(self._node(node, labels) for node in self.nodes)
         edges = tuple(
-            Edge(source, target, tuple(outcomes.items()))
+            Edge(source, target, tuple(outcomes.items()), self._edge_left(node, self.nodes[target]))
             for source, node in enumerate(self.nodes)
             for target, outcomes in node.edges.items()
         )
         problem, solution = self.structure.problem, self.solution
+        value = known_value(solution)
+        shown = "not known" if math.isnan(value) else f"{value:.6g}"
         return Drawing(
-            f"{problem.domain.name}, {problem.problem.name}: "
-            f"{solution.objective} {solution.value:.6g}",
+            f"{problem.domain.name}, {problem.problem.name}: {solution.objective} {shown}",
             nodes,
             edges,
         )
+
+    def _edge_left(self, node: _Found, target: _Found) -> str:
+        """The steps left with which an edge may be taken, unless it always may."""
+        if self.mdp.horizon is None:
+            return ""
+        least, most = self._when(node, target)
+        return "" if (least, most) == (node.least, node.most) else _left(least, most)
 
     def _node(self, node: _Found, labels: dict[int, tuple[str, ...]]) -> Node:
         mdp = self.mdp
@@ -199,8 +223,7 @@ class _Graph:
             return Node(labels[node.state], end=end, initial=initial)
         left = ""
         if mdp.horizon is not None:
-            least, most = node.least, node.most
-            left = f"{least} left" if least == most else f"{least} to {most} left"
+            left = _left(node.least, node.most)
         action = str(self.structure.action(node.row))
         initial = node is self.nodes[0]
         return Node(labels[node.state], action, left, initial=initial)
@@ -227,6 +250,11 @@ class _Graph:
             none = "none of these" if len(differing) != 1 else f"not {next(iter(differing))}"
         labels = {number: _cut(facts) or (none,) for number, facts in shown.items()}
         return {self.structure.sink: (), **labels}
+
+
+def _left(least: int, most: int) -> str:
+    """A range of steps left in words."""
+    return f"{least} left" if least == most else f"{least} to {most} left"
 
 
 def _cut(facts: list[str]) -> tuple[str, ...]:

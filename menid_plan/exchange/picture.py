@@ -128,7 +128,7 @@ class _Picture:
         self.labels: list[_Rectangle] = []
 
     def _sized(self) -> list[_Box]:
-        """A box for every node, in the layer of its distance from the first."""
+        """A box for every node, in the layer of its distance from the first; the horizon comes last."""
         nodes, edges = self.drawing.nodes, self.drawing.edges
         depth = {0: 0}
         queue = [0]
@@ -137,6 +137,9 @@ class _Picture:
                 if edge.source == number and edge.target not in depth:
                     depth[edge.target] = depth[number] + 1
                     queue.append(edge.target)
+        for edge in edges:
+            if nodes[edge.target].end == "horizon":  # from everywhere, with long labels
+                depth[edge.target] = max(depth[edge.target], 1 + depth.get(edge.source, 0))
         boxes = []
         for number, node in enumerate(nodes):
             lines = _node_lines(node)

@@ -71,8 +71,9 @@ class Search:
                 self._advance(chunks, pool)
                 if self.found > self.max_states:
                     raise LimitError(
-                        f"more than {self.max_states} states can be reached, the limit; "
-                        f"{self._so_far}"
+                        f"more than {self.max_states} states can be reached, the limit: "
+                        f"{self.found} were found when they were counted, {self.expanded} of them "
+                        f"expanded, with {self.transitions} transitions"
                     )
                 if progress is not None:
                     progress(self.found, self.expanded, self.transitions)
@@ -140,7 +141,7 @@ class Search:
             kernel.rehash(self.table, self.words, self.found, self.salt)
 
     def _grow(self, needed: int, *names: str) -> None:
-        """Make arrays twice as long, large ones by a third, or as long as needed, if there is memory."""
+        """Make arrays twice as long, large ones by a third, or as needed, if there is memory."""
         arrays = [getattr(self, name) for name in names]
         before = len(arrays[0])
         if needed + 1 <= before:
