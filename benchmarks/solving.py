@@ -563,7 +563,7 @@ def each_transition(model: Model, arguments: argparse.Namespace) -> dict[str, fl
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_model(folder, model)
-        for _ in range(arguments.repeats):
+        for _ in range(max(5, arguments.repeats)):  # they take little time, and vary
             options = {"objective": model.objective, "solve": False, "epsilon": EPSILON}
             line.add("menid", worker("menid", folder, arguments.limit, **options))
     explore, count = line.get("menid", "explore"), line.get("menid", "transitions")
