@@ -21,7 +21,7 @@ STRUCTURE = build(
 
 
 def fill(probabilities: Floats) -> MDP:
-    return replace(STRUCTURE, probability=probabilities, row_reward=probabilities[::2].copy())
+    return replace(STRUCTURE, kind_probability=probabilities, row_reward=probabilities[::2].copy())
 
 
 def policy(

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 DENSE = 300  # up to so many states a dense solve is the faster
 SPARSE = 5000  # and up to so many elimination is
+CANCEL = 1e-10  # what a step may lose, relative to the largest sum, and be taken for nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +140,7 @@ class _Run:
             )
         component, free = end_components(self.graph, self.rows & (mdp.row_reward == 0.0))
         may_stop = (component >= 0) & ~self.ended
-        growing = self.growing()
+        growing, staying = self.growing()
         sure, _, _ = sure_reach(self.graph, self.rows, self.ended | may_stop | growing)
         rows = self.rows.copy()
         self.graph.without(rows, ~sure)
@@ -148,16 +149,22 @@ class _Run:
         policy = self.towards(rows, self.ended | may_stop)
         known = np.where(endless, np.inf, np.where(sure, 0.0, -np.inf))
         lower, upper, policy = self.improve(rows, mdp.row_reward, known, 1.0, policy, may_stop)
+        if not self.stopped and bool(np.any(upper < staying)):
+            raise UnsupportedError(
+                "policy-iteration cannot stay where rewards of both signs cancel: their sum swings"
+            )
         stays = may_stop & (policy < 0)
         policy[stays] = self.lowest(free)[stays]
         lost = (policy < 0) & ~self.ended
         policy[lost] = self.lowest(self.rows)[lost]
         return lower, upper, policy
 
-    def growing(self) -> Bools:
+    def growing(self) -> tuple[Bools, Floats]:
         """The states (bool[n]) of end components in which rewards add up for ever.
 
         Where stopping for 0 is allowed everywhere, such a component is what keeps a policy going.
+        The second answer (float64[n]) is the most that a state may collect where rewards of both
+        signs cancel, -inf where they do not.
         """
         from menid_solvers.graph import end_components
 
@@ -166,14 +173,33 @@ class _Run:
         found = np.zeros(mdp.states, np.bool_)
         while True:
             stop = np.full(mdp.states, -1, np.int32)
-            _, _, policy = self.improve(
+            value, _, policy = self.improve(
                 inside, mdp.row_reward, np.zeros(mdp.states), 1.0, stop, component >= 0
             )
             new = np.isin(component, component[~self.ends(policy)])
             if not bool(new.any()):
-                return found
+                return found, self.cancelling(inside, value)
             found |= new
             inside = inside & ~new[self.state]
+
+    def cancelling(self, inside: Bools, stopping: Floats) -> Floats:
+        """What staying may collect (float64[n]) in end components whose rewards cancel, else -inf.
+
+        With the best value of stopping for 0 anywhere as a potential no row gains, and those that can
+        be repeated without loss keep it: they collect the difference of the potential, back and forth.
+        """
+        from menid_solvers.graph import end_components
+
+        reward = self.mdp.row_reward
+        most = np.full(self.mdp.states, -np.inf)
+        lost = stopping[self.state] - reward - self.matrix @ stopping
+        scale = max(1.0, float(np.max(np.abs(stopping), initial=0.0)))
+        component, kept = end_components(self.graph, inside & (lost <= CANCEL * scale))
+        of_row = component[self.state]
+        for mixed in np.intersect1d(of_row[kept & (reward > 0.0)], of_row[kept & (reward < 0.0)]):
+            members = component == mixed
+            most[members] = stopping[members] - np.min(stopping[members])
+        return most
 
     def goal(self) -> tuple[Floats, Floats, SmallInts]:
         """The highest probability of the goal."""
