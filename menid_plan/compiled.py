@@ -280,11 +280,9 @@ def _keep(name: str, prefix: str, content: bytes) -> None:
 
 @lru_cache(maxsize=1)
 def _announce() -> None:
-    """Tell that this takes long once."""
-    if sys.stderr is not None:  # it is where the caller closed it
-        print(
-            "compiling once, as this is the first run: half a minute", file=sys.stderr, flush=True
-        )
+    """Tell who watches that this takes long once."""
+    if sys.stderr is not None and sys.stderr.isatty():
+        print("compiling once, as this is the first run: half a minute", file=sys.stderr)
 
 
 @lru_cache(maxsize=64)

@@ -143,8 +143,3 @@ def test_two_processes_may_compile_at_once(tmp_path: Path) -> None:
     ]
     assert [process.communicate()[0].strip() for process in running] == ["5.0", "5.0"]
     assert len(list(tmp_path.glob("*"))) == 1
-
-
-def test_compiling_is_announced_to_whoever_waits(capsys: pytest.CaptureFixture[str]) -> None:
-    compiled._announce.__wrapped__()
-    assert "compiling once" in capsys.readouterr().err

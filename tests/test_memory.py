@@ -24,7 +24,7 @@ def test_small_demands_are_not_asked_for(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.parametrize(
-    ("left", "said"), [(1e6, "so far"), (20e6, "to solve 52488 states")], ids=["explore", "solve"]
+    ("left", "said"), [(1e6, "so far"), (12e6, "to solve 52488 states")], ids=["explore", "solve"]
 )
 def test_a_problem_that_does_not_fit(
     left: float, said: str, monkeypatch: pytest.MonkeyPatch
