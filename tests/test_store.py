@@ -479,7 +479,7 @@ from menid_plan.grounding.state import GroundAction
 path, kills = sys.argv[1], 12
 random.seed(3)
 Store.create(path, *BOTH).close()
-for _ in range(kills):
+for kill in range(kills):
     acknowledged, written = os.pipe()
     child = os.fork()
     if child == 0:
@@ -490,10 +490,11 @@ for _ in range(kills):
             begin += 50
             os.write(written, f"{begin}\\n".encode())
     os.close(written)
+    # Half of them are killed wherever they are, the others once they have written something.
+    text = os.read(acknowledged, 65536) if kill % 2 else b""
     time.sleep(random.uniform(0.005, 0.06))
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
-    text = b""
     while data := os.read(acknowledged, 65536):
         text += data
     os.close(acknowledged)
