@@ -230,14 +230,11 @@ class _Lookup:
         structure = simulator.structure
         problem, mdp = structure.problem, simulator.mdp
         self._actions = {action: number for number, action in enumerate(problem.actions)}
-        bits = {atom: 1 << bit for bit, atom in enumerate(problem.facts)}
-        size = 8 * problem.tables.words
         self._entries: dict[bytes, list[tuple[int, Entry]]] = {}
         for number, entry in enumerate(policy.entries, start=1):
-            state = entry.state | policy.always
-            if state.difference(bits) == problem.always:  # else it cannot be reached
-                key = sum(bits.get(atom, 0) for atom in state).to_bytes(size, "little")
-                self._entries.setdefault(key, []).append((number, entry))
+            words = problem.pack(entry.state | policy.always)
+            if words is not None:  # else it cannot be reached
+                self._entries.setdefault(words.tobytes(), []).append((number, entry))
         # Of a state: -2 not looked up yet, -1 nothing, else the place of its first range.
         self._first = np.full(mdp.states, -2, np.int64)
         self._count = np.zeros(mdp.states, np.int64)
@@ -270,7 +267,7 @@ class _Lookup:
         found = []
         place = len(self._ranges)
         for state in states.tolist():
-            known = self._entries.get(structure.words[state].astype("<u8").tobytes(), [])
+            known = self._entries.get(structure.words[state].tobytes(), [])
             self._first[state] = place if known else -1
             self._count[state] = len(known)
             for number, entry in known:

@@ -99,6 +99,13 @@ class Circuit:
             self.nodes.append(node)
         return number << 1
 
+    def literals(self, signal: Signal) -> tuple[Signal, ...]:
+        """The signals whose conjunction a signal is."""
+        node = self.nodes[signal >> 1]
+        if node.kind == "all" and not signal & 1:
+            return node.operands
+        return () if signal == TRUE else (signal,)
+
     def operands(self, number: int) -> tuple[Signal, ...]:
         """The signals that a node is made of; of a recursive derived atom, its definition."""
         node = self.nodes[number]

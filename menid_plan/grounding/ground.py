@@ -1,35 +1,40 @@
 """A problem as bit masks: packed states, ground rules, and the program for all that is derived.
 
-A state is W words of 64 bits, one bit for each fact that changes. Behind them an *extended* state has
-bits for what is computed from it: conditions that are no conjunction of bits (disjunctions, counts,
-recursive derived atoms). Everything that is asked of a state (where a rule covers, where an effect
-happens, the goal) is then a *cube*: entries (word, mask, value), each of which demands that
-``extended[word] & mask == value``.
+A state is W words of 64 bits: a bit for each fact that changes, or, where that takes more than one
+word, a number for facts that exclude each other (see `menid_plan.grounding.packing`). Behind them an
+*extended* state has bits for what is computed from it: conditions that are no conjunction of what a
+state holds (disjunctions, counts, recursive derived atoms). Everything that is asked of a state (where
+a rule covers, where an effect happens, the goal) is then a *cube*: entries (word, mask, value), each of
+which demands that ``extended[word] & mask == value``.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from menid_plan.errors import MeaningError
 from menid_plan.grounding.circuit import FALSE, TRUE, Circuit, Signal
-from menid_plan.grounding.instantiate import GroundRule, Instantiation
+from menid_plan.grounding.exclusive import Group, exclusive_groups, positives, simplified
+from menid_plan.grounding.instantiate import GroundEffect, GroundRule, Instantiation
+from menid_plan.grounding.packing import WORD, Layout
 from menid_plan.grounding.prune import prune
 from menid_plan.grounding.state import GroundAction, State
 from menid_plan.grounding.tables import Columns, Tables
-from menid_plan.grounding.watches import watches
+from menid_plan.grounding.watches import Demand, watches
 from menid_plan.model.domain import Domain, Problem, param_values
 from menid_plan.model.expressions import EvaluationError, Expression, evaluate
 from menid_plan.model.formulas import GroundAtom
 from menid_plan.model.graph import components
 from menid_plan.model.rules import Rule
 
-WORD = 64
+BESIDES = 0.5  # of a group's facts may need a bit besides; if more do, a number is no gain
+FEW = WORD  # facts for which nobody asks whether some exclude each other: they fit in a word
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,14 +63,15 @@ class Distribution:
 class GroundProblem:
     """A problem grounded: names for the numbers in its tables.
 
-    ``facts[i]`` is the atom of bit i; ``always`` are the atoms that hold in every reachable state.
-    ``slot_reward`` (float64) is what each slot's outcome pays, ``action_cost`` what each action costs.
+    ``layout`` tells where states keep the facts that change; ``always`` are the atoms that hold in
+    every reachable state. ``slot_reward`` (float64) is what each slot's outcome pays,
+    ``action_cost`` what each action costs.
     """
 
     domain: Domain
     problem: Problem
     params: Mapping[str, float]
-    facts: tuple[GroundAtom, ...]
+    layout: Layout
     always: frozenset[GroundAtom]
     actions: tuple[GroundAction, ...]
     rules: tuple[GroundRule, ...]
@@ -84,23 +90,24 @@ class GroundProblem:
         """How many slots for probabilities there are."""
         return len(self.slot_reward)
 
-    def pack(self, state: State) -> NDArray[np.uint64]:
-        """A state as words; atoms that never change are left out."""
-        words = np.zeros(self.tables.words, np.uint64)
-        for bit, atom in enumerate(self.facts):
-            if atom in state:
-                words[bit // WORD] |= np.uint64(1 << bit % WORD)
-        return words
+    @property
+    def facts(self) -> tuple[GroundAtom, ...]:
+        """The atoms that change, sorted."""
+        return self.layout.facts
+
+    def pack(self, state: State) -> NDArray[np.uint64] | None:
+        """A state as words; None if it is known that no step leads there."""
+        changing = state - self.always
+        if (
+            len(state) - len(changing) < len(self.always)
+            or not changing <= self.layout.places.keys()
+        ):
+            return None
+        return self.layout.pack(changing)
 
     def unpack(self, words: NDArray[np.uint64]) -> State:
         """The state of some words, with the atoms that always hold."""
-        found = set(self.always)
-        for index, word in enumerate(words.tolist()):
-            while word:
-                low = word & -word
-                found.add(self.facts[index * WORD + low.bit_length() - 1])
-                word ^= low
-        return frozenset(found)
+        return self.always.union(self.layout.unpack(words))
 
 
 def ground(
@@ -126,12 +133,19 @@ def ground(
             signals.append(signal)
     goal = TRUE if problem.goal is None else work.signal(problem.goal, {})
     pruned = prune(work.circuit, rules, [goal, *signals], work.init)
-    builder = _Builder(pruned.circuit, pruned.rules)
+    found, circuit = pruned.rules, pruned.circuit
+    facts = tuple(sorted(node.atom for node in circuit.nodes if node.kind == "fact" and node.atom))
+    groups: list[Group] = []
+    if len(facts) > FEW:
+        groups = exclusive_groups(circuit, found, work.init)
+        found = simplified(circuit, found, groups)
+    builder = _Builder(circuit, found, facts, groups)
     tables = builder.tables(
         pruned.signals[0] if problem.goal is not None else None, pruned.signals[1:], rewards
     )
-    facts = tuple(builder.facts)
-    always = work.init.difference(facts)
+    layout = builder.layout
+    initial = layout.pack(work.init.intersection(facts))
+    assert initial is not None
     costs = {
         action.name: _value(action.cost, values, f"the cost of action `{action.name}`")
         for action in domain.actions
@@ -141,12 +155,9 @@ def ground(
         for distribution in builder.distributions
         for outcome in distribution.rule.outcomes
     ]
-    initial = np.zeros(tables.words, np.uint64)
-    for bit, atom in enumerate(facts):
-        if atom in work.init:
-            initial[bit // WORD] |= np.uint64(1 << bit % WORD)
     return GroundProblem(
-        domain, problem, values, facts, always, tuple(builder.actions), tuple(pruned.rules),
+        domain, problem, values, layout, work.init.difference(facts), tuple(builder.actions),
+        tuple(found),
         tuple(builder.distributions), tuple(builder.rule_distribution), initial,
         np.array(slot_reward, np.float64),
         np.array([costs[action.action] for action in builder.actions], np.float64),
@@ -166,34 +177,28 @@ def _value(expression: Expression | None, params: Mapping[str, float], what: str
 
 
 _ALL = 2**64 - 1
+_Changes: TypeAlias = dict[int, tuple[int, int]]  # by word: the bits to delete, and those to add
 
 
 class _Builder:
     """Numbers facts, actions and distributions, and fills the tables."""
 
-    def __init__(self, circuit: Circuit, rules: list[GroundRule]) -> None:
+    def __init__(
+        self, circuit: Circuit, rules: list[GroundRule], facts: tuple[GroundAtom, ...],
+        groups: Sequence[Group],
+    ) -> None:  # fmt: skip
         self.circuit = circuit
         self.rules = rules
-        self.facts = sorted(n.atom for n in circuit.nodes if n.kind == "fact" and n.atom)
+        self.layout = Layout(facts, groups)
         self.actions = list(dict.fromkeys(rule.action for rule in rules))
         self.distributions: list[Distribution] = []
         self.rule_distribution: list[int] = []
         self._number_distributions()
-        self.words = max(1, -(-len(self.facts) // WORD))
-        self._bits = {
-            number: self._fact_bits()[node.atom]
-            for number, node in enumerate(circuit.nodes)
-            if node.kind == "fact" and node.atom is not None
-        }
+        self._bits: dict[int, int] = {}  # of the nodes that have a bit of their own
         self.entries: list[tuple[int, int, int]] = []
         self.outcome_masks: list[NDArray[np.uint64]] = []
-        self._rule_bits: list[list[int]] = []
-        self._effect_bits: list[list[list[int]]] = []
-
-    def _fact_bits(self) -> dict[GroundAtom, int]:
-        if not hasattr(self, "_by_fact"):
-            self._by_fact = {atom: bit for bit, atom in enumerate(self.facts)}
-        return self._by_fact
+        self._rule_demands: list[list[Demand]] = []
+        self._effect_demands: list[list[list[Demand]]] = []
 
     def _number_distributions(self) -> None:
         known: dict[tuple[str, str, tuple[str, ...]], int] = {}
@@ -208,31 +213,41 @@ class _Builder:
 
     # ------------------------------------------------------------------------------- cubes
 
-    def _literals(self, signal: Signal) -> list[Signal]:
-        """The signals whose conjunction a signal is."""
-        node = self.circuit.nodes[signal >> 1]
-        if node.kind == "all" and not signal & 1:
-            return list(node.operands)
-        return [] if signal == TRUE else [signal]
+    def _code(self, number: int) -> tuple[int, int] | None:
+        """The field of a node and its number there, if it is a fact of a group."""
+        atom = (
+            self.circuit.nodes[number].atom if self.circuit.nodes[number].kind == "fact" else None
+        )
+        return self.layout.code.get(atom) if atom is not None else None
 
-    def _positive_bits(self, condition: Signal) -> list[int]:
-        """The bits that have to be set where a conjunction holds."""
-        literals = self._literals(condition)
-        return [self._bits[li >> 1] for li in literals if not li & 1 and li != TRUE]
+    def _demands(self, condition: Signal) -> list[Demand]:
+        """What has to hold where a conjunction does."""
+        found = []
+        for literal in self.circuit.literals(condition):
+            if not literal & 1 and literal != FALSE:
+                code = self._code(literal >> 1)
+                found.append(Demand(code[1], code[0]) if code else Demand(self._bits[literal >> 1]))
+        return found
 
-    def _cube(self, literals: list[Signal]) -> int:
-        """Append the entries that demand these signals; the offset behind them."""
+    def _cube(self, condition: Signal) -> int:
+        """Append the entries that demand a conjunction; the offset behind them."""
         masks: dict[int, tuple[int, int]] = {}
-        for literal in literals:
+        for literal in self.circuit.literals(condition):
             if literal == FALSE:
                 self.entries.append((0, 0, 1))  # nothing matches
                 continue
-            word, bit = divmod(self._bits[literal >> 1], WORD)
+            number, negated = literal >> 1, literal & 1
+            atom = self.circuit.nodes[number].atom
+            if atom is not None and not negated and self._code(number):
+                word, more, wanted = self.layout.places[atom]
+            else:
+                word, bit = divmod(self._bits[number], WORD)
+                more, wanted = 1 << bit, (1 - negated) << bit
             mask, value = masks.get(word, (0, 0))
-            if mask >> bit & 1:  # a count may have one operand twice
-                self.entries.append((word, 1 << bit, (~literal & 1) << bit))
+            if mask & more:  # a field may be asked for two numbers, which it never holds
+                self.entries.append((word, more, wanted))
                 continue
-            masks[word] = (mask | 1 << bit, value | (~literal & 1) << bit)
+            masks[word] = (mask | more, value | wanted)
         self.entries.extend((word, mask, value) for word, (mask, value) in masks.items())
         return len(self.entries)
 
@@ -240,30 +255,59 @@ class _Builder:
 
     def _program(self, roots: list[Signal]) -> list[list[int]]:
         """The nodes that need a bit of their own, in groups to be computed one after the other."""
-        needed: dict[int, tuple[int, ...]] = {}
-        stack = [literal >> 1 for root in roots for literal in self._literals(root)]
-        while stack:
-            number = stack.pop()
-            if number in needed or self.circuit.nodes[number].kind == "fact":
-                continue
-            below: list[int] = []
-            for operand in self.circuit.operands(number):
-                literals = [operand]
-                if self.circuit.nodes[number].kind == "derived":
-                    literals = self._literals(operand)
-                below.extend(
-                    li >> 1 for li in literals if self.circuit.nodes[li >> 1].kind != "fact"
-                )
-            needed[number] = tuple(n for n in below if n)
-            stack.extend(needed[number])
+        needed = self._needed(roots)
+        few = [
+            group
+            for group in self.layout.groups
+            if sum(self.circuit.fact(a) >> 1 in needed for a in group) <= BESIDES * len(group)
+        ]
+        if len(few) < len(self.layout.groups):
+            self.layout = Layout(self.layout.facts, few)
+            needed = self._needed(roots)
+        for number, node in enumerate(self.circuit.nodes):
+            if node.kind == "fact" and node.atom and node.atom not in self.layout.code:
+                place = self.layout.places[node.atom]
+                self._bits[number] = place.word * WORD + place.mask.bit_length() - 1
         groups = [self._in_order(set(group), needed) for group in components(needed)]
-        bit = self.words * WORD
+        bit = self.layout.words * WORD
         for group in groups:
             for number in group:
                 self._bits[number] = bit
                 bit += 1
         self.extended_words = -(-bit // WORD)
         return groups
+
+    def _needed(self, roots: list[Signal]) -> dict[int, tuple[int, ...]]:
+        """The nodes that need a bit of their own, each with those that it is made of."""
+        found: dict[int, tuple[int, ...]] = {}
+        stack = [number for root in roots for number in self._asked(self.circuit.literals(root))]
+        while stack:
+            number = stack.pop()
+            if number not in found:
+                found[number] = self._asked(*self._operands(number))
+                stack.extend(found[number])
+        return found
+
+    def _operands(self, number: int) -> tuple[Sequence[Signal], bool]:
+        """The literals that a node is made of, and whether it is their conjunction."""
+        node = self.circuit.nodes[number]
+        if node.kind == "derived":
+            return self.circuit.literals(self.circuit.definitions[number]), True
+        return node.operands, node.kind == "all"
+
+    def _asked(self, literals: Iterable[Signal], conjunction: bool = True) -> tuple[int, ...]:
+        """The nodes whose bits are asked for; conjunctions ask fields what number they hold."""
+        found = []
+        for literal in literals:
+            number = literal >> 1
+            is_fact = self.circuit.nodes[number].kind == "fact"
+            if is_fact:
+                is_asked = self._code(number) and (literal & 1 or not conjunction)
+            else:
+                is_asked = number > 0
+            if is_asked:
+                found.append(number)
+        return tuple(found)
 
     def _in_order(self, group: Collection[int], needed: Mapping[int, Sequence[int]]) -> list[int]:
         """The nodes of a group such that each comes behind those that it is made of.
@@ -299,22 +343,26 @@ class _Builder:
         table.start("reward_entries", len(self.entries))
         for condition, reward in zip(conditions, rewards, strict=True):
             if condition and reward:
-                table.add(reward_entries=self._cube(self._literals(condition)), reward_value=reward)
+                table.add(reward_entries=self._cube(condition), reward_value=reward)
         begin = len(self.entries)
         goal_entries = [-1, -1]
         if goal is not None:
-            goal_entries = [begin, self._cube(self._literals(goal))]
-        outcome_masks = np.array(self.outcome_masks, np.uint64).reshape(-1, 2, self.words)
+            goal_entries = [begin, self._cube(goal)]
+        outcome_masks = np.array(self.outcome_masks, np.uint64).reshape(-1, 2, self.layout.words)
         words, masks, values = zip(*self.entries, strict=True) if self.entries else ((), (), ())
+        fields = self.layout.fields
         return Tables(
-            words=self.words,
+            words=self.layout.words,
             extended_words=self.extended_words,
-            entry_word=np.array(words, np.int32),
+            entry_word=np.array(words, np.uint32),
             entry_mask=np.array(masks, np.uint64),
             entry_value=np.array(values, np.uint64),
             goal_entries=np.array(goal_entries, np.int32),
-            rule_watch=watches([self._rule_bits], self.extended_words),
-            effect_watch=watches(self._effect_bits, self.extended_words),
+            field_word=np.array([field.word for field in fields], np.uint32),
+            field_shift=np.array([field.shift for field in fields], np.uint64),
+            field_mask=np.array([(1 << field.width) - 1 for field in fields], np.uint64),
+            rule_watch=watches([self._rule_demands], self.extended_words, fields),
+            effect_watch=watches(self._effect_demands, self.extended_words, fields),
             outcome_delete=np.ascontiguousarray(outcome_masks[:, 0]),
             outcome_add=np.ascontiguousarray(outcome_masks[:, 1]),
             **table.arrays(),
@@ -328,10 +376,11 @@ class _Builder:
             loops = any(self.circuit.nodes[number].kind == "derived" for number in group)
             for number in group:
                 node = self.circuit.nodes[number]
-                operands = list(node.operands)
-                if node.kind == "derived":
-                    operands = self._literals(self.circuit.definitions[number])
-                for bit, flip in self._literal_bits(operands):
+                if node.kind == "fact":
+                    found = self._field_bits(number)
+                else:
+                    found = list(self._literal_bits(*self._operands(number)))
+                for bit, flip in found:
                     table.add(literal_bit=bit, literal_flip=flip)
                     literals += 1
                 exactly = node.comparison == "="
@@ -343,64 +392,91 @@ class _Builder:
                 table.drop("segment_ops", "segment_loops")
             table.add(segment_ops=ops, segment_loops=int(loops))
 
-    def _literal_bits(self, literals: list[Signal]) -> Iterator[tuple[int, int]]:
-        """The bit of each literal, and what turns it into the literal."""
+    def _literal_bits(
+        self, literals: Iterable[Signal], conjunction: bool
+    ) -> Iterator[tuple[int, int]]:
+        """The bits of literals, and what turns each into one of the literals."""
         for literal in literals:
+            number, negated = literal >> 1, literal & 1
             if literal == FALSE:  # a bit and its opposite
                 yield from ((0, 0), (0, _ALL))
+            elif conjunction and not negated and self._code(number):
+                yield from self._field_bits(number)
             else:
-                yield self._bits[literal >> 1], _ALL if literal & 1 else 0
+                yield self._bits[number], _ALL if negated else 0
+
+    def _field_bits(self, number: int) -> list[tuple[int, int]]:
+        """The bits of a fact's field, and what turns each into 1 where it holds the fact's number."""
+        atom = self.circuit.nodes[number].atom
+        assert atom is not None
+        index, code = self.layout.code[atom]
+        word, shift, width = self.layout.fields[index]
+        return [(WORD * word + shift + i, 0 if code >> i & 1 else _ALL) for i in range(width)]
 
     def _fill_rules(self, table: Columns) -> None:
         numbers = {action: number for number, action in enumerate(self.actions)}
         table.start("rule_entries", len(self.entries))
         for rule in self.rules:
             table.add(
-                rule_entries=self._cube(self._literals(rule.condition)),
+                rule_entries=self._cube(rule.condition),
                 rule_action=numbers[rule.action],
             )
-            self._rule_bits.append(self._positive_bits(rule.condition))
+            self._rule_demands.append(self._demands(rule.condition))
         for name in ("rule_outcomes", "outcome_effects", "effect_changes"):
             table.start(name, 0)
         table.start("effect_entries", len(self.entries))
-        outcomes = effects = changes = 0
+        outcomes = effects = changed = 0
         for rule, distribution in zip(self.rules, self.rule_distribution, strict=True):
             slots = self.distributions[distribution].slots
             for slot, outcome, ground_effects in zip(
                 slots, rule.rule.outcomes, rule.effects, strict=True
             ):
-                always = [effect for effect in ground_effects if effect.condition == TRUE]
-                masks = np.zeros((2, self.words), np.uint64)
-                for effect in always:
-                    for word, bits in self._changes(effect.delete, effect.add).items():
-                        masks[:, word] |= np.array(bits, np.uint64)
-                self.outcome_masks.append(masks)
-                self._effect_bits.append([])
-                for effect in ground_effects:
-                    if effect.condition == TRUE:
+                masks = np.zeros((2, self.layout.words), np.uint64)
+                self._effect_demands.append([])
+                for condition, changes in self._changing(rule.condition, ground_effects):
+                    if condition == TRUE:
+                        for word, bits in changes.items():
+                            masks[:, word] |= np.array(bits, np.uint64)
                         continue
-                    self._effect_bits[-1].append(self._positive_bits(effect.condition))
-                    for word, (delete, add) in self._changes(effect.delete, effect.add).items():
+                    self._effect_demands[-1].append(self._demands(condition))
+                    for word, (delete, add) in changes.items():
                         table.add(change_word=word, change_delete=delete, change_add=add)
-                        changes += 1
-                    end = self._cube(self._literals(effect.condition))
-                    table.add(effect_entries=end, effect_changes=changes)
+                    changed += len(changes)
+                    table.add(effect_entries=self._cube(condition), effect_changes=changed)
                     effects += 1
+                self.outcome_masks.append(masks)
                 table.add(
                     outcome_slot=slot, outcome_noise=int(outcome.is_noise), outcome_effects=effects
                 )
                 outcomes += 1
             table.add(rule_outcomes=outcomes)
 
-    def _changes(
-        self, delete: tuple[GroundAtom, ...], add: tuple[GroundAtom, ...]
-    ) -> dict[int, tuple[int, int]]:
-        """By word: the bits to delete and to add."""
-        found: dict[int, tuple[int, int]] = {}
-        for atoms, position in ((delete, 0), (add, 1)):
-            for atom in atoms:
-                word, bit = divmod(self._fact_bits()[atom], WORD)
-                masks = list(found.get(word, (0, 0)))
-                masks[position] |= 1 << bit
-                found[word] = (masks[0], masks[1])
-        return found
+    def _changing(
+        self, covered: Signal, effects: Iterable[GroundEffect]
+    ) -> Iterator[tuple[Signal, _Changes]]:
+        """Effects as conditions and what they change where the rule covers.
+
+        To delete a fact of a group is to empty its field where it holds that fact.
+        """
+        for effect in effects:
+            condition, changes = effect.condition, _Changes()
+            known = positives(self.circuit, covered) | positives(self.circuit, condition)
+            holds = {self.layout.code[a][0]: a for a in known if a in self.layout.code}
+            for atom in effect.add:
+                word, mask, value = self.layout.places[atom]
+                _change(changes, word, mask, value)
+            for atom in effect.delete:
+                word, mask, _ = self.layout.places[atom]
+                index, _ = self.layout.code.get(atom, (-1, 0))
+                if index < 0 or holds.get(index) == atom:
+                    _change(changes, word, mask, 0)
+                elif index not in holds:
+                    both = self.circuit.conjunction([condition, self.circuit.fact(atom)])
+                    yield both, {word: (mask, 0)}
+            if changes:
+                yield condition, changes
+
+
+def _change(changes: _Changes, word: int, delete: int, add: int) -> None:
+    before = changes.get(word, (0, 0))
+    changes[word] = (before[0] | delete, before[1] | add)

@@ -15,9 +15,10 @@ from menid_plan.grounding.watches import Watches
 class Tables:
     """The arrays of a ground problem, as the compiled kernels read them.
 
-    Ranges are by offsets: those of item i are ``start[i]`` to ``start[i + 1]``.
+    Ranges are by offsets: those of item i are ``start[i]`` to ``start[i + 1]``. What a search looks
+    up for each step is unsigned, so that nothing need be done for numbers below 0.
 
-    Entries (of cubes and counts): ``entry_word`` int32, ``entry_mask`` and ``entry_value`` uint64.
+    Entries (of cubes and counts): ``entry_word`` uint32, ``entry_mask`` and ``entry_value`` uint64.
     Operations of the program, each of which sets the next bit behind those of the state: ``op_kind``
     uint8 (0: all literals hold, 1: so many hold, 2: at least so many, 3: all hold, of a derived atom),
     ``op_number``, ``op_literals`` (offsets). Literals: ``literal_bit``, ``literal_flip`` (uint64, all
@@ -27,15 +28,16 @@ class Tables:
     ``outcome_slot``, ``outcome_noise`` uint8, ``outcome_delete`` and ``outcome_add`` (uint64[., W],
     what it does unconditionally), ``outcome_effects`` (offsets, of the others). Conditional effects:
     ``effect_entries``, ``effect_changes`` (offsets). Changes: ``change_word``, ``change_delete``,
-    ``change_add``. Watches (see `menid_plan.grounding.watches`): ``rule_watch`` for the rules,
-    ``effect_watch`` for the conditional effects of each outcome. Rewards of states:
-    ``reward_entries`` (offsets), ``reward_value`` float64. The cube of the goal: ``goal_entries`` (two
-    offsets; equal to -1 without a goal).
+    ``change_add``. Fields (see `menid_plan.grounding.packing`): ``field_word``, ``field_shift`` and
+    ``field_mask`` (uint64; the mask of what is shifted down). Watches (see
+    `menid_plan.grounding.watches`): ``rule_watch`` for the rules, ``effect_watch`` for the conditional
+    effects of each outcome. Rewards of states: ``reward_entries`` (offsets), ``reward_value`` float64.
+    The cube of the goal: ``goal_entries`` (two offsets; equal to -1 without a goal).
     """
 
     words: int
     extended_words: int
-    entry_word: NDArray[np.int32]
+    entry_word: NDArray[np.uint32]
     entry_mask: NDArray[np.uint64]
     entry_value: NDArray[np.uint64]
     op_kind: NDArray[np.uint8]
@@ -45,30 +47,35 @@ class Tables:
     literal_flip: NDArray[np.uint64]
     segment_ops: NDArray[np.int32]
     segment_loops: NDArray[np.uint8]
-    rule_entries: NDArray[np.int32]
-    rule_outcomes: NDArray[np.int32]
+    rule_entries: NDArray[np.uint32]
+    rule_outcomes: NDArray[np.uint32]
     rule_action: NDArray[np.int32]
     outcome_slot: NDArray[np.int32]
     outcome_noise: NDArray[np.uint8]
     outcome_delete: NDArray[np.uint64]
     outcome_add: NDArray[np.uint64]
-    outcome_effects: NDArray[np.int32]
-    effect_entries: NDArray[np.int32]
-    effect_changes: NDArray[np.int32]
-    change_word: NDArray[np.int32]
+    outcome_effects: NDArray[np.uint32]
+    effect_entries: NDArray[np.uint32]
+    effect_changes: NDArray[np.uint32]
+    change_word: NDArray[np.uint32]
     change_delete: NDArray[np.uint64]
     change_add: NDArray[np.uint64]
-    reward_entries: NDArray[np.int32]
+    reward_entries: NDArray[np.uint32]
     reward_value: NDArray[np.float64]
     goal_entries: NDArray[np.int32]
+    field_word: NDArray[np.uint32]
+    field_shift: NDArray[np.uint64]
+    field_mask: NDArray[np.uint64]
     rule_watch: Watches
     effect_watch: Watches
 
 
-_TYPES: dict[str, type[np.generic]] = {
+_TYPES: dict[str, type[np.generic]] = {  # others int32
     "op_kind": np.uint8, "segment_loops": np.uint8, "outcome_noise": np.uint8,
     "literal_flip": np.uint64, "change_delete": np.uint64, "change_add": np.uint64,
-    "reward_value": np.float64,
+    "reward_value": np.float64, "rule_entries": np.uint32, "rule_outcomes": np.uint32,
+    "outcome_effects": np.uint32, "effect_entries": np.uint32, "effect_changes": np.uint32,
+    "change_word": np.uint32, "reward_entries": np.uint32,
 }  # fmt: skip
 
 
@@ -78,7 +85,8 @@ class Columns:
     def __init__(self) -> None:
         names = set(Tables.__dataclass_fields__) - {
             "words", "extended_words", "entry_word", "entry_mask", "entry_value", "goal_entries",
-            "outcome_delete", "outcome_add", "rule_watch", "effect_watch",
+            "outcome_delete", "outcome_add", "field_word", "field_shift", "field_mask", "rule_watch",
+            "effect_watch",
         }  # fmt: skip
         self._lists: dict[str, list[float]] = {name: [] for name in sorted(names)}
 

@@ -133,14 +133,11 @@ class _Model:
             for number in range(structure.states)
             if number != structure.sink
         }
-        self._facts = frozenset(compiled.facts)
 
     def number(self, state: State) -> int | None:
         """The number of a state; None if it was not explored."""
-        compiled = self.structure.problem
-        if state - self._facts != compiled.always:
-            return None
-        return self._numbers.get(compiled.pack(state).tobytes())
+        words = self.structure.problem.pack(state)
+        return None if words is None else self._numbers.get(words.tobytes())
 
     def action(self, row: int) -> GroundAction:
         """The action of a row."""

@@ -52,7 +52,8 @@ def collect(
     outcome: int, words: int, extended: Any, word: Any, mask: Any, value: Any, outcome_delete: Any,
     outcome_add: Any, effect_entries: Any, effect_changes: Any, change_word: Any,
     change_delete: Any, change_add: Any, effect_mask: Any, effect_group: Any, effect_first: Any,
-    effect_item: Any, effect_always: Any, effect_always_first: Any, delete: Any, add: Any,
+    effect_item: Any, effect_always: Any, effect_always_first: Any, effect_field: Any,
+    field_word: Any, field_shift: Any, field_mask: Any, delete: Any, add: Any,
 ) -> None:  # fmt: skip
     """What an outcome deletes and adds in a state, by its conditional effects too."""
     for i in range(words):
@@ -75,35 +76,49 @@ def collect(
                     effect_item[i], extended, word, mask, value, effect_entries, effect_changes,
                     change_word, change_delete, change_add, delete, add,
                 )  # fmt: skip
+    for index in range(len(field_word)):
+        if effect_field[outcome, index] >= 0:
+            code = extended[field_word[index]] >> field_shift[index] & field_mask[index]
+            group = effect_field[outcome, index] + np.int64(code)
+            for i in range(effect_first[group], effect_first[group + 1]):
+                apply(
+                    effect_item[i], extended, word, mask, value, effect_entries, effect_changes,
+                    change_word, change_delete, change_add, delete, add,
+                )  # fmt: skip
 
 
 @kernel(inline=True)
-def hash_words(words: Any, count: int, salt: Any) -> Any:
-    """A hash of some words: multilinear, so that no word waits for another (Lemire and Kaser 2014).
+def hash_words(keys: Any, row: int, count: int, salt: Any) -> Any:
+    """A hash of a row's words: multilinear, so that none waits for another (Lemire and Kaser 2014).
 
     The finaliser is that of SplitMix64 (Steele et al. 2014).
     """
     h = np.uint64(0)
     for i in range(count):
-        h += (words[i] & np.uint64(0xFFFFFFFF)) * salt[2 * i]
-        h += (words[i] >> np.uint64(32)) * salt[2 * i + 1]
+        h += (keys[row, i] & np.uint64(0xFFFFFFFF)) * salt[2 * i]
+        h += (keys[row, i] >> np.uint64(32)) * salt[2 * i + 1]
     h = (h ^ (h >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     h = (h ^ (h >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return h ^ (h >> np.uint64(31))
 
 
 @kernel(inline=True)
-def place_of(table: Any, states: Any, key: Any, words: int, salt: Any) -> Any:
-    """Where in the table a state is, or the free place where it belongs."""
+def place_of(table: Any, states: Any, keys: Any, row: int, words: int, salt: Any) -> Any:
+    """Where in the table the number of a row's state is (plus 1; 0: free), or where it belongs.
+
+    Without salt the table has a place for every word that a state can be.
+    """
+    if len(salt) == 0:
+        return keys[row, 0]
     size = np.uint64(len(table) - 1)
-    at = hash_words(key, words, salt) & size
+    at = hash_words(keys, row, words, salt) & size
     while True:
         number = int(table[at])
-        if number < 0:
+        if number == 0:
             return at
         different = np.uint64(0)
         for i in range(words):
-            different |= states[number, i] ^ key[i]
+            different |= states[number - 1, i] ^ keys[row, i]
         if different == 0:
             return at
         at = (at + np.uint64(1)) & size
@@ -124,10 +139,10 @@ def rehash(table: Any, states: Any, found: int, salt: Any) -> None:
     size = np.uint64(len(table) - 1)
     words = states.shape[1]
     for number in range(found):
-        at = hash_words(states[number], words, salt) & size
-        while table[at] >= 0:
+        at = hash_words(states, number, words, salt) & size
+        while table[at] > 0:
             at = (at + np.uint64(1)) & size
-        table[at] = number
+        table[at] = number + 1
 
 
 @kernel("i8(i4[::1], u8[:, ::1], i8, u8[::1], u8[:, ::1], i8, i4[::1])")
@@ -140,13 +155,13 @@ def settle(
     """
     words = states.shape[1]
     for i in range(count):
-        at = place_of(table, states, new[i], words, salt)
-        if table[at] < 0:
-            table[at] = found
+        at = place_of(table, states, new, i, words, salt)
+        if table[at] == 0:
             for j in range(words):
                 states[found, j] = new[i, j]
             found += 1
-        number[i] = table[at]
+            table[at] = found
+        number[i] = table[at] - 1
     return found
 
 
@@ -159,12 +174,12 @@ def put_numbers(count: int, found_state: Any, number: Any, next_state: Any) -> N
 
 
 @kernel(
-    "i8(i8, i4[::1], u8[::1], u8[::1], u1[::1], i4[::1], i4[::1], i4[::1], u8[::1], i4[::1],"
-    " u1[::1], i4[::1], i4[::1], i4[::1], i4[::1], u1[::1], u8[:, ::1], u8[:, ::1], i4[::1],"
-    " i4[::1], i4[::1], i4[::1], u8[::1], u8[::1], i4[::1], f8[::1], i4[::1],"
-    " u8[:, ::1], i4[:, ::1], i4[::1], i4[::1], i4[::1], i4[::1],"
-    " u8[:, ::1], i4[:, ::1], i4[::1], i4[::1], i4[::1], i4[::1],"
-    " u1[::1], b1, i4[::1], u8[:, ::1], u8[::1], i8, i8, i8,"
+    "i8(i8, u4[::1], u8[::1], u8[::1], u1[::1], i4[::1], i4[::1], i4[::1], u8[::1], i4[::1],"
+    " u1[::1], u4[::1], u4[::1], i4[::1], i4[::1], u1[::1], u8[:, ::1], u8[:, ::1], u4[::1],"
+    " u4[::1], u4[::1], u4[::1], u8[::1], u8[::1], u4[::1], f8[::1], i4[::1],"
+    " u8[:, ::1], u4[:, ::1], i4[:, ::1], u4[::1], u4[::1], u4[::1], u4[::1],"
+    " u8[:, ::1], u4[:, ::1], i4[:, ::1], u4[::1], u4[::1], u4[::1], u4[::1],"
+    " u4[::1], u8[::1], u8[::1], u1[::1], b1, i4[::1], u8[:, ::1], u8[::1], i8, i8, i8,"
     " i8[::1], i8[::1], b1[::1], f8[::1], i4[::1], i4[::1], i4[::1], u8[:, ::1],"
     " i8[::1], u8[::1], u8[::1], u8[::1], u8[::1], u8[:, ::1], i8[::1], u8[::1], u8[::1],"
     " u8[::1], u8[:, ::1])"
@@ -178,10 +193,11 @@ def expand(
     outcome_effects: Any, effect_entries: Any,
     effect_changes: Any, change_word: Any, change_delete: Any, change_add: Any,
     reward_entries: Any, reward_value: Any, goal_entries: Any,
-    rule_mask: Any, rule_group: Any, rule_first: Any, rule_item: Any, rule_always: Any,
-    rule_always_first: Any,
-    effect_mask: Any, effect_group: Any, effect_first: Any, effect_item: Any, effect_always: Any,
-    effect_always_first: Any,
+    rule_mask: Any, rule_group: Any, rule_field: Any, rule_first: Any, rule_item: Any,
+    rule_always: Any, rule_always_first: Any,
+    effect_mask: Any, effect_group: Any, effect_field: Any, effect_first: Any, effect_item: Any,
+    effect_always: Any, effect_always_first: Any,
+    field_word: Any, field_shift: Any, field_mask: Any,
     slot_state: Any, noise_to_sink: bool,
     # What was found before, and which states to expand; alone, until so many are waiting (else 0).
     table: Any, states: Any, salt: Any, first: int, last: int, alone: int,
@@ -209,7 +225,9 @@ def expand(
         if alone > 0:
             if found - state >= alone:
                 break
-            if found + outcomes > len(states) or 2 * (found + outcomes) > len(table):
+            if found + outcomes > len(states) or (
+                len(salt) > 0 and 2 * (found + outcomes) > len(table)
+            ):
                 end = NO_ROOM
                 break
         if (
@@ -258,6 +276,13 @@ def expand(
                     for i in range(rule_first[group], rule_first[group + 1]):
                         watcher = np.uint64(rule_item[i])
                         due[watcher >> np.uint64(6)] |= np.uint64(1) << (watcher & np.uint64(63))
+            for index in range(len(field_word)):
+                if rule_field[0, index] >= 0:
+                    code = extended[field_word[index]] >> field_shift[index] & field_mask[index]
+                    group = rule_field[0, index] + np.int64(code)
+                    for i in range(rule_first[group], rule_first[group + 1]):
+                        watcher = np.uint64(rule_item[i])
+                        due[watcher >> np.uint64(6)] |= np.uint64(1) << (watcher & np.uint64(63))
         previous = -1
         waiting = 0
         for w_due in range(len(due)):
@@ -286,23 +311,24 @@ def expand(
                             number = SINK_STATE
                     else:
                         moved = False
-                        successor = successors[waiting]
                         if outcome_effects[outcome] == outcome_effects[outcome + 1]:
                             for i in range(words):
-                                successor[i] = (
-                                    extended[i] & ~outcome_delete[outcome, i]
-                                ) | outcome_add[outcome, i]
-                                moved |= successor[i] != extended[i]
+                                to = extended[i] & ~outcome_delete[outcome, i]
+                                to |= outcome_add[outcome, i]
+                                successors[waiting, i] = to
+                                moved |= to != extended[i]
                         else:
                             collect(
                                 outcome, words, extended, word, mask, value, outcome_delete,
                                 outcome_add, effect_entries, effect_changes, change_word,
                                 change_delete, change_add, effect_mask, effect_group, effect_first,
-                                effect_item, effect_always, effect_always_first, delete, add,
+                                effect_item, effect_always, effect_always_first, effect_field,
+                                field_word, field_shift, field_mask, delete, add,
                             )  # fmt: skip
                             for i in range(words):
-                                successor[i] = (extended[i] & ~delete[i]) | add[i]
-                                moved |= successor[i] != extended[i]
+                                to = (extended[i] & ~delete[i]) | add[i]
+                                successors[waiting, i] = to
+                                moved |= to != extended[i]
                         if moved:
                             leads[waiting] = transitions
                             waiting += 1
@@ -313,19 +339,18 @@ def expand(
                 row_transition[rows] = transitions
         # All at once: looking one up need not wait for the memory that the one before waits for.
         for i in range(waiting):
-            successor = successors[i]
-            place = place_of(table, states, successor, words, salt)
-            number = int(table[place])
+            place = place_of(table, states, successors, i, words, salt)
+            number = int(table[place]) - 1
             if number < 0 and alone > 0:
                 number = found
-                table[place] = found
                 for w in range(words):
-                    states[found, w] = successor[w]
+                    states[found, w] = successors[i, w]
                 found += 1
+                table[place] = found
             elif number < 0:
                 number = NEW - fresh
                 for w in range(words):
-                    new[fresh, w] = successor[w]
+                    new[fresh, w] = successors[i, w]
                 fresh += 1
             next_state[leads[i]] = number
         state += 1

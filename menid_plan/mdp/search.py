@@ -24,6 +24,8 @@ Progress = Callable[[int, int, int], None]
 
 STRETCH = 8192  # states that a thread expands before numbers are given
 ROOM = 2**16  # states for which there is room from the start
+TABLE = 2**15  # places for them in the table from the start
+DIRECT = 22  # bits of a state up to which the table has a place for each that there could be
 LARGE = 2**26  # bytes
 MOST = 2**31 - 1  # transitions that can be numbered
 WORTH = 4096  # states that wait to be expanded from which on several threads share the work
@@ -48,9 +50,11 @@ class Search:
         self.max_states = max_states
         words = problem.tables.words
         self.expanded, self.found, self.rows, self.transitions = 0, 1, 0, 0
-        self.table = np.full(4096, -1, np.int32)
-        # Numbers at random, but always the same.
-        self.salt = np.frombuffer(shake_256(b"states").digest(16 * words), np.uint64)
+        # Numbers at random, but always the same; none if every state may have its own place.
+        self.direct = words == 1 and problem.layout.bits <= DIRECT
+        self.table = np.zeros(2**problem.layout.bits if self.direct else TABLE, np.int32)
+        salt = b"" if self.direct else shake_256(b"states").digest(16 * words)
+        self.salt = np.frombuffer(salt, np.uint64)
         # Memory that is not written to is not taken, so that there may be plenty from the start.
         self.words = np.empty((ROOM, words), np.uint64)
         self.words[0] = problem.initial
@@ -61,7 +65,7 @@ class Search:
         self.row_transition = np.empty(4 * ROOM + 1, np.int32)
         self.next_state = np.empty(16 * ROOM, np.int32)
         self.state_row[0] = self.row_transition[0] = 0
-        kernel.rehash(self.table, self.words, 1, self.salt)
+        kernel.settle(self.table, self.words, 0, self.salt, self.words, 1, np.empty(1, np.int32))
 
     def run(self, progress: Progress | None) -> None:
         """Expand states until there are no more."""
@@ -131,13 +135,13 @@ class Search:
         self._grow(states, "words", "goal", "state_row", "reward")
         self._grow(rows, "row_rule", "row_transition")
         self._grow(transitions, "next_state")
-        if 2 * states > len(self.table):
+        if 2 * states > len(self.table) and not self.direct:
             size = len(self.table)
             while 2 * states > size:
                 size *= 2
             self.table = np.empty(0, np.int32)
             demand(4.0 * size, self._so_far)
-            self.table = np.full(size, -1, np.int32)
+            self.table = np.zeros(size, np.int32)
             kernel.rehash(self.table, self.words, self.found, self.salt)
 
     def _grow(self, needed: int, *names: str) -> None:
@@ -188,14 +192,14 @@ class _Chunk:
         tables = search.problem.tables
         most = max(len(tables.outcome_slot), len(tables.rule_action))  # of one state
         self.most = most
-        size = max(STRETCH, 2 * most)
+        rows, size = max(4 * STRETCH, 2 * most), max(16 * STRETCH, 2 * most)
         self.first = self.last = 0
         self.counts = np.zeros(5, np.int64)
         self.state_row = np.zeros(STRETCH + 1, np.int64)
         self.goal = np.zeros(STRETCH, np.bool_)
         self.reward = np.zeros(STRETCH, np.float64)
-        self.row_rule = np.zeros(size, np.int32)
-        self.row_transition = np.zeros(size + 1, np.int32)
+        self.row_rule = np.zeros(rows, np.int32)
+        self.row_transition = np.zeros(rows + 1, np.int32)
         self.next_state = np.zeros(size, np.int32)
         self.new = np.zeros((size, tables.words), np.uint64)
         self.clash = np.zeros(3, np.int64)
@@ -238,7 +242,8 @@ class _Chunk:
             t.outcome_delete, t.outcome_add,
             t.outcome_effects, t.effect_entries, t.effect_changes, t.change_word, t.change_delete,
             t.change_add, t.reward_entries, t.reward_value, t.goal_entries,
-            *t.rule_watch.arrays(), *t.effect_watch.arrays(), search.happens, search.to_sink,
+            *t.rule_watch.arrays(), *t.effect_watch.arrays(), t.field_word, t.field_shift,
+            t.field_mask, search.happens, search.to_sink,
             search.table, search.words, search.salt, self.first, self.last, alone,
             self.counts, self.state_row, self.goal, self.reward, self.row_rule,
             self.row_transition, self.next_state, self.new, self.clash, *self.room,
