@@ -91,6 +91,7 @@ class Loop:
         self.state: State = frozenset(bound.problem.init)
         self._semantics = attributor.semantics
         self._rng = np.random.default_rng(seed_of(settings.seed, "delta"))
+        self._deltas: dict[tuple[str, DistributionKey], float] = {}
         self._in_episode = False
         self._episode_step = 0
         self._idle = 0
@@ -165,7 +166,12 @@ class Loop:
         if settings.stop == "gap" and target.sum() > 0 and seen.sum() > 0:
             gap = np.abs(target / target.sum() - seen / seen.sum()).max()
             enough = max(enough, float(gap))
-        return delta(seen, settings.epsilon, settings.delta_method, rng=self._rng) > enough
+        # It costs as much as a step, is asked in every round, and changes with the counts alone.
+        found = self._deltas.get((spec.name, key))
+        if found is None:
+            found = delta(seen, settings.epsilon, settings.delta_method, rng=self._rng)
+            self._deltas[spec.name, key] = found
+        return found > enough
 
     def _test(self, spec: EnvironmentSpec, state: State, action: GroundAction) -> None:
         """Try an action for the time T, in a state like the target's; the target stays as it is."""
@@ -220,6 +226,7 @@ class Loop:
             return
         key = experience.explanation.key(experience.action)
         self.evidence.add(experience.environment, key, experience.explanation.weights)
+        self._deltas.pop((experience.environment, key), None)
 
     # --------------------------------------------------------------------------- episodes, the end
 
