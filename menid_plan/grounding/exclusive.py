@@ -22,7 +22,7 @@ _Template: TypeAlias = tuple[str, tuple[str | None, ...]]  # a predicate; None f
 
 LEAST = 3  # facts that are worth a group: they need two bits
 MOST_TEMPLATES = 4
-MOST_WORK = 2_000_000  # effects looked at, after which no more groups are sought
+MOST_LOOKS = 20  # at each effect on average, after which no more groups are sought
 MOST_OPERANDS = 64  # of a condition within a condition that is looked into
 DEEPEST = 3  # conditions within conditions that are looked into
 
@@ -62,7 +62,8 @@ class _Search:
         self._by_predicate: dict[tuple[str, int], list[GroundAtom]] = {}
         for atom in sorted(self.facts):
             self._by_predicate.setdefault((atom.predicate, len(atom.arguments)), []).append(atom)
-        self._work = 0
+        self._tried: set[tuple[_Template, ...]] = set()
+        self._looks = 0
         outcome = 0
         for rule in rules:
             covered = positives(circuit, rule.condition)
@@ -75,10 +76,17 @@ class _Search:
                     for atom in effect.add:
                         self._adding.setdefault(atom, []).append(found)
                 outcome += 1
+        self._most_looks = MOST_LOOKS * sum(map(len, self._adding.values()))
 
     def groups(self) -> list[Group]:
         """The largest groups first, the later ones of what those before have left."""
-        found = {facts for seed in self._seeds() for facts in self._grown(seed)}
+        found: set[frozenset[GroundAtom]] = set()
+        covered: set[GroundAtom] = set()
+        for seed in self._seeds():
+            if not covered.issuperset(self._facts(seed)):
+                for facts in self._grown(seed):
+                    found.add(facts)
+                    covered |= facts
         taken: set[GroundAtom] = set()
         groups = []
         for facts in sorted(found, key=lambda facts: (-len(facts), sorted(facts))):
@@ -100,9 +108,11 @@ class _Search:
         """The group of a template, or of it and others that are taken in."""
         fixed = {name for name in seed[1] if name is not None}
         waiting: list[tuple[_Template, ...]] = [(seed,)]
-        known = set(waiting)
-        while waiting and self._work < MOST_WORK:
+        while waiting and self._looks <= self._most_looks:
             templates = waiting.pop()
+            if templates in self._tried:
+                continue
+            self._tried.add(templates)
             facts = frozenset(atom for template in templates for atom in self._facts(template))
             if len(facts & self.init) > 1:
                 continue
@@ -114,9 +124,8 @@ class _Search:
                 continue
             for atom in sorted(missing):
                 arguments = tuple(name if name in fixed else None for name in atom.arguments)
-                larger = tuple(sorted({*templates, (atom.predicate, arguments)}, key=repr))
-                if len(templates) < len(larger) <= MOST_TEMPLATES and larger not in known:
-                    known.add(larger)
+                larger = _together(templates, (atom.predicate, arguments))
+                if len(larger) <= MOST_TEMPLATES:
                     waiting.append(larger)
 
     def _missing(self, facts: frozenset[GroundAtom]) -> frozenset[GroundAtom] | None:
@@ -124,7 +133,7 @@ class _Search:
         added: dict[tuple[int, GroundAtom], GroundAtom] = {}
         for fact in facts:
             adding = self._adding.get(fact, [])
-            self._work += len(adding)
+            self._looks += len(adding)
             for effect in adding:
                 before = facts & effect.known
                 if not before:
@@ -163,6 +172,20 @@ def _template(
 ) -> _Template:
     fixed = dict(zip(places, values, strict=True))
     return predicate, tuple(fixed.get(place) for place in range(count))
+
+
+def _together(templates: tuple[_Template, ...], another: _Template) -> tuple[_Template, ...]:
+    """Templates and another one, in order, less those that it includes."""
+    apart = (each for each in templates if not _includes(another, each))
+    return tuple(sorted((*apart, another), key=repr))
+
+
+def _includes(general: _Template, special: _Template) -> bool:
+    return (
+        general[0] == special[0]
+        and len(general[1]) == len(special[1])
+        and all(g is None or g == s for g, s in zip(general[1], special[1], strict=True))
+    )
 
 
 # ----------------------------------------------------------------------------- simpler conditions

@@ -19,10 +19,11 @@ from menid_solvers.sweep_kernels import (
 _ROWS = "i8[::1], i4[::1], u4[::1], i4[::1], f8[::1], f8[::1], f8[::1]"
 
 # What `state` holds between calls.
-BLOCK, PHASE, SHIFT, BLOCK_SWEEPS, LARGEST, SWEEPS, RESIDUAL, PATIENCE, WIDTH, STAY, MARK = range(
-    11
-)
-STATE = 11
+(
+    BLOCK, PHASE, SHIFT, BLOCK_SWEEPS, LARGEST, SWEEPS, RESIDUAL, PATIENCE, WIDTH, STAY, MARK, LEAST,
+    GIVEN_UP,
+) = range(13)  # fmt: skip
+STATE = 13
 # What a call ends with.
 DONE, MORE, SLOW = range(3)
 # The phases of a block.
@@ -30,10 +31,13 @@ START, VALUE, DURATION, CHECK, UPPER = range(5)
 
 ROUNDING = 1.2e-16  # a little over 2^-53
 SHORTEST_AFTER = 64  # sweeps for the stay of a policy that may linger for nothing
+LEAST_SHIFT = 2.5  # the least shift, in errors; twice as much where that turns out too little
+LEAP = 32  # sweeps that lift an upper bound, after which it leaps
+LEAPS = 40  # that many, each twice as far as the one before; then the bound stays open
 GIVE_UP = 300_000  # sweeps of a block, after which its bounds stay open
 
 
-@kernel(f"void(i8, {_ROWS}, f8[::1], f8[::1], i8[::1])")
+@kernel(f"void(i8, {_ROWS}, i8, f8[::1], f8[::1], i8[::1])")
 def close_single(
     u: int,
     first_row: Ints,
@@ -43,6 +47,7 @@ def close_single(
     weight: Floats,
     constant: Floats,
     floor: Floats,
+    longest: int,
     hi: Floats,
     lo: Floats,
     policy: Ints,
@@ -63,7 +68,7 @@ def close_single(
             up += above
             down += below
             size += max(abs(above), abs(below))
-        error = ROUNDING * (first_entry[i + 1] - first_entry[i] + 8) * size
+        error = ROUNDING * (longest + first_entry[i + 1] - first_entry[i] + 8) * size
         high = max(high, up + error)
         low = max(low, down - error)
         slack_of_ties = max(slack_of_ties, 4.0 * error)
@@ -78,7 +83,7 @@ def close_single(
             down += below
             size += abs(below)
         if down >= low - slack_of_ties:
-            error = ROUNDING * (first_entry[i + 1] - first_entry[i] + 8) * size
+            error = ROUNDING * (longest + first_entry[i + 1] - first_entry[i] + 8) * size
             policy[u] = i
             low = min(low, down - error)
             break
@@ -126,6 +131,7 @@ def advance(
     for b in range(blocks):
         deepest = max(deepest, depth[b])
     own = epsilon / deepest
+    unit = ROUNDING * (3 * longest + 12)
     spent = 0.0
     while state[BLOCK] < blocks:
         b = int(state[BLOCK])
@@ -149,6 +155,7 @@ def advance(
                     weight,
                     constant,
                     floor,
+                    longest,
                     hi,
                     lo,
                     policy,
@@ -162,6 +169,7 @@ def advance(
             state[BLOCK_SWEEPS] = 0.0
             state[PATIENCE] = 100.0
             state[MARK] = 0.0
+            state[LEAST] = LEAST_SHIFT
             state[PHASE] = VALUE
             for u in range(first, last):
                 stay[u] = state[STAY] if discount < 1.0 else 0.0
@@ -171,15 +179,16 @@ def advance(
                     hi, leaves,
                 )  # fmt: skip
                 spent += 2 * block_work
-        error = ROUNDING * (longest + 5) * state[LARGEST]
-        shift = max(state[SHIFT], 6.0 * error)
+        error = unit * state[LARGEST]
+        least = state[LEAST] * error
+        shift = max(state[SHIFT], least)
         state[SHIFT] = shift
         if state[BLOCK_SWEEPS] > state[PATIENCE]:
             return SLOW
 
         if state[PHASE] == VALUE:
             sweep_all(
-                first, last, False, first_row, first_entry, target, row_weight, weight, constant, floor,
+                first, last, 0.0, first_row, first_entry, target, row_weight, weight, constant, floor,
                 hi, policy, measured,
             )  # fmt: skip
             state[SWEEPS] += 1
@@ -250,7 +259,7 @@ def advance(
             wanted = own / (4.0 * state[STAY])
             if wanted < 0.5 * shift:
                 state[SHIFT] = wanted
-                state[PHASE] = VALUE if shift > 6.5 * error else CHECK
+                state[PHASE] = VALUE if shift > 1.1 * least else CHECK
             else:
                 state[PHASE] = CHECK
 
@@ -262,33 +271,47 @@ def advance(
                     if target[k] < first:
                         width = max(width, hi[target[k]] - lo[target[k]])
             state[WIDTH] = width
+            largest = state[LARGEST]
             for u in range(first, last):
                 lo[u] = hi[u] - width - shift * stay[u]
                 hi[u] += shift * stay[u]
-            error = ROUNDING * (longest + 5) * (state[LARGEST] + shift * state[STAY])
+                largest = max(largest, abs(hi[u]))
+                if lo[u] > -np.inf:
+                    largest = max(largest, -lo[u])
+            state[LARGEST] = largest
+            error = unit * largest
             choose_certified(
-                first, last, max(4.0 * error, 0.05 * shift), error, first_row, first_entry,
+                first, last, max(2.0 * error, 0.05 * shift), error, first_row, first_entry,
                 target, row_weight, weight, constant, floor, hi, lo, policy, measured,
             )  # fmt: skip
             spent += 3 * block_work
             if measured[1] < error and state[BLOCK_SWEEPS] < GIVE_UP:
                 for u in range(first, last):
                     hi[u] -= shift * stay[u]
+                if shift <= 1.1 * least:
+                    state[LEAST] *= 2.0
                 state[SHIFT] = 0.125 * shift
                 state[PHASE] = VALUE
                 continue
             if measured[1] < error:
                 for u in range(first, last):
                     lo[u] = -np.inf
-            # lo <= T(lo); the same of hi, or it rises until it is so.
+            # lo <= T(lo); T(hi) <= hi as well, or it rises until it is so.
             state[MARK] = 0.0 if measured[0] >= error else 1.0
             state[PHASE] = UPPER
 
         else:
-            if state[MARK] > 0.0:
+            sure = state[MARK] == 0.0
+            mark = int(state[MARK])
+            leap = not sure and mark % LEAP == 0
+            if not sure:
+                if leap:
+                    for u in range(first, last):
+                        taken_constant[u - first] = hi[u]
+                # Once a sweep lifts nothing by more than half the lift, T(hi) <= hi in truth.
                 sweep_all(
-                    first, last, True, first_row, first_entry, target, row_weight, weight, constant,
-                    floor, hi, policy, measured,
+                    first, last, 2.0 * error, first_row, first_entry, target, row_weight, weight,
+                    constant, floor, hi, policy, measured,
                 )  # fmt: skip
                 state[MARK] += 1
                 state[SWEEPS] += 1
@@ -296,16 +319,35 @@ def advance(
                 spent += block_work
                 state[LARGEST] = max(state[LARGEST], measured[2])
                 state[RESIDUAL] = measured[0]
-                if measured[0] > error and state[BLOCK_SWEEPS] < GIVE_UP:
-                    continue
-                for u in range(first, last):  # what rounding may hide, all along the way
-                    hi[u] = hi[u] + 4.0 * error * stay[u] if measured[0] <= error else highest
+                sure = measured[0] <= error
+            if leap and not sure:
+                # One may linger at next to no loss: what a sweep lifts, it would lift for long.
+                far = 8.0 * 2.0 ** (mark // LEAP)
+                largest = state[LARGEST]
+                for u in range(first, last):
+                    hi[u] += far * (hi[u] - taken_constant[u - first])
+                    largest = max(largest, abs(hi[u]))
+                state[LARGEST] = largest
+                if mark == LEAP:
+                    state[PATIENCE] = 0.0  # elimination may do it
+            over = state[BLOCK_SWEEPS] >= GIVE_UP
+            if not (sure or leap or over):
+                continue
             gap = 0.0
             for u in range(first, last):
                 gap = max(gap, hi[u] - lo[u])
-            if gap <= allowed or shift <= 6.5 * error or state[BLOCK_SWEEPS] >= GIVE_UP:
+            close = gap <= allowed
+            last_try = over or shift <= 1.1 * least
+            if not sure and not over and (close or last_try) and mark < LEAP * LEAPS:
+                continue
+            if not sure and last_try:
+                for u in range(first, last):
+                    hi[u] = highest
+            if last_try or (sure and close):
                 for u in range(first, last):
                     stay[u] = 0.0
+                if over and not (sure and close):
+                    state[GIVEN_UP] += 1
                 state[BLOCK] += 1
                 state[PHASE] = START
                 continue

@@ -8,14 +8,18 @@ Block by block, from the ends backward. With T the right-hand side of the equati
 - The policy is greedy for ``hi`` and made to leave the block surely. ``lo`` iterates its own rows
   with -2 c until no unknown falls by more than that: lo <= T(lo), and the policy is worth lo.
 - hi - lo is at most some 4 c times the expected stay in the block; if that is too wide, c shrinks.
+- Where other rows than the policy's raise hi after all (one may linger at next to no loss), hi is
+  lifted until T(hi) <= hi; it leaps ahead where that takes long, for any such hi will do.
 - Where sweeps creep (slow mixing), the policy is solved by elimination and improved (Howard 1960),
   and the result verified by the same two inequalities.
 
 Why these are bounds: the cores that are built have no end component in which one could stay without
 loss (they are merged, see `menid_solvers.end_components`), so that T(hi) <= hi bounds every policy
 that leaves, and the others earn minus infinity (Bertsekas and Tsitsiklis 1991).
-Rounding: each sum is off by at most (entries + 5) * 2^-53 times the largest value; c is never
-smaller than six times that. If this makes the gap too wide the answer says so.
+Rounding: with n outcomes of a row at most, its weights are off by (3/2 n + 5) * 2^-53 of their sum,
+and the sum of n products and a constant by n + 1 roundings of numbers up to twice the largest value.
+Together that is less than the `unit` (3 n + 12) * 2^-53 times the largest value; c is never smaller
+than 2.5 times that. If this makes the gap too wide the answer says so.
 """
 
 from __future__ import annotations
@@ -31,9 +35,10 @@ from menid_plan.solving import Progress
 from menid_solvers import bound_kernels as kernels
 from menid_solvers import elimination_kernels as elimination
 from menid_solvers.core import Core
-from menid_solvers.sweep_kernels import choose_policy, slack
+from menid_solvers.sweep_kernels import choose_policy, slack, sweep_all
 
 ROUNDING = 1.2e-16  # a little over 2^-53
+CHEAP = 1e5  # what elimination of a block may cost in any case, in operations
 WORK = 3e7  # entries read between two returns to Python: a tenth of a second or less
 
 
@@ -77,12 +82,16 @@ class Limits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Enclosure:
-    """Bounds and a policy of a core's unknowns; complete: every block was finished."""
+    """Bounds and a policy of a core's unknowns; complete: every block was finished.
+
+    ``given_up``: some are wide because sweeps were not enough, rather than for rounding.
+    """
 
     lo: Floats
     hi: Floats
     policy: Ints
     complete: bool
+    given_up: bool
 
 
 def enclose(
@@ -151,7 +160,10 @@ def enclose(
     complete = code == kernels.DONE
     if not complete:
         _partial(core, state, hi, lo, policy, lowest, highest, lowest == 0.0 and start is None)
-    return Enclosure(np.clip(lo, lowest, highest), np.clip(hi, lowest, highest), policy, complete)
+    return Enclosure(
+        np.clip(lo, lowest, highest), np.clip(hi, lowest, highest), policy, complete,
+        state[kernels.GIVEN_UP] > 0.0,
+    )  # fmt: skip
 
 
 @dataclass(slots=True)
@@ -165,10 +177,10 @@ class _Pace:
     residual: float = 0.0
 
     def sweeps_left(self, state: Floats) -> float:
-        """An estimate, 0 while there is nothing to estimate from; remembers the state."""
+        """An estimate, inf while there is nothing to estimate from; remembers the state."""
         block, phase, shift = state[kernels.BLOCK], state[kernels.PHASE], state[kernels.SHIFT]
         sweeps, residual = state[kernels.BLOCK_SWEEPS], state[kernels.RESIDUAL]
-        left = 0.0
+        left = math.inf
         if (block, phase, shift) == (self.block, self.phase, self.shift) and residual > shift:
             rate = math.log(max(self.residual / residual, 1.0 + 1e-9)) / (sweeps - self.sweeps)
             left = math.log(residual / shift) / rate
@@ -195,20 +207,24 @@ def _partial(
     high = np.full(last - first, highest)
     width = float(np.max(hi[:first] - lo[:first], initial=0.0))
     low = np.full(last - first, lowest)
+    unit = kernels.ROUNDING * (3 * core.longest + 12)
     if begun and core.discount < 1.0 and state[kernels.BLOCK_SWEEPS] > 0:
-        # After a sweep that changed x by at most d: |T(x) - x| <= d and a little, and T contracts.
-        x = hi[first:last]
-        change = 2.0 * (state[kernels.RESIDUAL] + state[kernels.SHIFT])
+        # After a sweep that changes x by at most d: |T(x) - x| <= d and a little, and T contracts.
+        # What was measured last will not do: sweeps of one policy, or upward, may have followed.
+        x, measured = hi[first:last], np.zeros(3)
+        largest = max(float(state[kernels.LARGEST]), float(np.max(np.abs(x))))
+        sweep_all(first, last, 0.0, *core.rows(), hi, policy, measured)
+        change = max(measured[0], measured[1]) + 2.0 * unit * max(largest, measured[2])
         reach = change / (1.0 - core.discount) * (1.0 + 1e-9)
-        high = np.minimum(high, x + reach)
-        low = np.maximum(low, x - reach - width)
+        high = np.fmin(high, x + reach)  # what overflowed does not count
+        low = np.fmax(low, x - reach - width)
     elif begun and state[kernels.PHASE] == kernels.UPPER:
-        low = np.maximum(low, lo[first:last])  # certified already
+        low = np.fmax(low, lo[first:last])  # certified already
     elif begun and from_below:
-        # Sweeps that started below the values stay below, but for the rounding of each.
-        sweeps = state[kernels.BLOCK_SWEEPS] * 9 * (last - first)
-        error = kernels.ROUNDING * (core.longest + 5) * state[kernels.LARGEST]
-        low = np.maximum(low, hi[first:last] - width - sweeps * error)
+        # Sweeps that started below the values stay below, but for the rounding of each; up to 30 of
+        # one policy follow each that is counted.
+        sweeps = (state[kernels.BLOCK_SWEEPS] + 1) * 31 * (last - first)
+        low = np.fmax(low, hi[first:last] - width - sweeps * unit * state[kernels.LARGEST])
     unset = np.arange(first, core.unknowns)
     lowest_row = core.first_row[unset]
     has_row = lowest_row < core.first_row[unset + 1]
@@ -231,14 +247,13 @@ def _eliminate(
     leaves: Bools,
 ) -> bool:
     """Solve the block at hand by policy iteration; False (and nothing lost) if that is no use."""
-    if sweeps_left == 0.0 or state[kernels.PHASE] > kernels.DURATION:
-        return False
     block = int(state[kernels.BLOCK])
     first, last = int(core.block_first[block]), int(core.block_first[block + 1])
     band = elimination.bandwidth(first, last, core.first_row, core.first_entry, core.target)
     entries = core.first_entry[core.first_row[last]] - core.first_entry[core.first_row[first]]
     cost = (last - first) * max(band, 1) ** 2
-    rounds = min(50.0, 3.0 * min(sweeps_left, state[kernels.BLOCK_SWEEPS]) * entries / cost)
+    work = max(CHEAP, 3.0 * min(sweeps_left, state[kernels.BLOCK_SWEEPS]) * entries)
+    rounds = min(50.0, work / cost)
     if cost > 1e9 or rounds < 3:
         return False
     if (last - first) * (2 * band + 1) > 5e7:
@@ -248,12 +263,16 @@ def _eliminate(
     own = epsilon / deepest
     part = slice(first, last)
     x = hi.copy()
+    before = policy[part].copy()  # which may be the one that lo is certified for
     choose_policy(first, last, state[kernels.SHIFT], False, *core.rows(), x, policy, leaves)
     n = last - first
     answer = np.empty((n, 3))
     room = np.empty((n, 2 * band + 1)), np.empty(n), np.empty(n)
     leaving = policy[part].copy()
-    scale = 1.0
+    below = lo.copy()
+    slacks = np.empty(3)
+    scale, margin, shift = 1.0, 1.5, math.inf
+    unit = kernels.ROUNDING * (3 * core.longest + 12)
     for _ in range(int(rounds)):
         state[kernels.SWEEPS] += 1
         if not elimination.solve_policy(
@@ -263,26 +282,29 @@ def _eliminate(
             policy[part] = leaving
             scale /= 1000.0
             continue
-        largest = max(float(state[kernels.LARGEST]), float(np.max(np.abs(answer[:, :2]))))
-        error = kernels.ROUNDING * (core.longest + 5) * largest
         longest_stay = float(np.max(answer[:, 2]))
-        shift = max(scale * own / (4.0 * longest_stay), 4.0 * error)
+        size = max(float(state[kernels.LARGEST]), float(np.max(np.abs(answer[:, :2]))))
+        # Never larger again: by a larger one it may pay to stay, by that for staying not, in turn.
+        shift = max(min(shift, scale * own / (4.0 * longest_stay)), margin * unit * size)
         x[part] = answer[:, 0] + shift * answer[:, 2]
-        if elimination.improve_policy(first, last, shift, shift / 4, *core.rows(), x, policy) == 0:
+        if elimination.improve_policy(first, last, shift, shift / 4, *core.rows(), x, policy) > 0:
+            continue
+        below[part] = answer[:, 1] - shift * answer[:, 2]
+        slack(first, last, *core.rows(), x, below, policy, slacks)
+        largest = max(size, float(np.max(np.abs(x[part]))), float(np.max(np.abs(below[part]))))
+        if min(slacks[0], slacks[1]) >= unit * largest:
             break
+        margin *= 2.0  # what elimination rounded off is more than the shift covers
     else:
-        return False
-    below = lo.copy()
-    below[part] = answer[:, 1] - shift * answer[:, 2]
-    slacks = np.empty(3)
-    slack(first, last, *core.rows(), x, below, policy, slacks)
-    if min(slacks[0], slacks[1]) < error:
+        policy[part] = before
         return False
     gap = float(np.max(x[part] - below[part]))
-    if gap > allowed and shift > 4.0 * error:
+    if gap > allowed and shift > margin * unit * size:
+        policy[part] = before
         return False
-    hi[part] = x[part]
     lo[part] = below[part]
+    state[kernels.PHASE] = kernels.UPPER  # whoever interrupts here finds lo certified
+    hi[part] = x[part]
     state[kernels.LARGEST] = largest
     state[kernels.BLOCK] += 1
     state[kernels.PHASE] = kernels.START

@@ -119,7 +119,7 @@ def compile_rows(
     """Write the rows of every unknown: loops solved for, known values put in, doubles merged.
 
     depth[b] is the highest number of blocks of several unknowns on a way out of block b, itself
-    included. Returns the numbers of rows, entries and weights, and the most entries of a row.
+    included. Returns the numbers of rows, entries and weights, and the most transitions of a row.
     """
     unknowns = block_first[blocks]
     place[:] = -1  # of an entry in the row at hand; room of unknowns, as block_of
@@ -220,7 +220,7 @@ def compile_rows(
                     constant[rows] = (reward[r] * total + discount * gained) / divisor
                     source[rows] = r
                     first_entry[rows] = before
-                    longest = max(longest, entries - before)
+                    longest = max(longest, int(end - begin))
                     rows += 1
         depth[b] = deepest + (1 if block_first[b + 1] - block_first[b] > 1 else 0)
         most = max(most, depth[b])

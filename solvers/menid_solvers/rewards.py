@@ -63,7 +63,8 @@ def total_reward(
         kept |= endings.inside & mdp.rows_of(fine)
     endless = graph.reaching(kept, endings.growing & fine) & ~known
     doubtful = graph.reaching(rows, endings.open) & ~known
-    doubtful |= graph.reaching(rows, endings.growing) & ~fine
+    both_signs = graph.reaching(rows, endings.growing) & ~fine & ~doubtful
+    doubtful |= both_signs
     if not may_stay:
         endless |= graph.reaching(kept, endings.growing)
     value = np.where(endless, np.inf, np.where(fine, 0.0, -np.inf))
@@ -77,6 +78,9 @@ def total_reward(
     if endless[mdp.initial] and not doubtful[mdp.initial]:
         stage.status = "unbounded"
         stage.message = "rewards can be collected for ever: the sum has no upper bound"
+    elif both_signs[mdp.initial]:
+        stage.status = "limit"
+        stage.message = "rewards may add up for ever, and losses too: their sum has no meaning"
     elif doubtful[mdp.initial]:
         stage.status = "limit"
         stage.message = "cannot tell whether rewards that nearly cancel add up for ever"
@@ -126,6 +130,11 @@ def _finite(
             highest=0.0 if plain and not pays else np.inf,
         )  # fmt: skip
         if stop is not stops[0]:
+            width = upper[mdp.initial] - stage.lower[mdp.initial]
+            if width > 2.0 * (stage.upper[mdp.initial] - stage.lower[mdp.initial]):
+                stage.cause = (
+                    "where rewards of both signs cancel for ever their sum swings, and has no limit"
+                )
             stage.upper = upper
     if not plain:
         solved = ~settled

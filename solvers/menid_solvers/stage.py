@@ -8,6 +8,7 @@ import numpy as np
 
 from menid_plan.mdp.model import MDP, Bools, Floats, SmallInts
 from menid_plan.solving import Status
+from menid_solvers.bound_kernels import GIVE_UP
 from menid_solvers.bounds import Limits, enclose
 from menid_solvers.core import Core
 from menid_solvers.graph import Graph, lowest_rows
@@ -15,13 +16,17 @@ from menid_solvers.graph import Graph, lowest_rows
 
 @dataclass(slots=True, eq=False)
 class Stage:
-    """Bounds (float64[n]) and a policy (int32[n], -1 for none) so far."""
+    """Bounds (float64[n]) and a policy (int32[n], -1 for none) so far.
+
+    ``cause`` says why bounds that were not stopped early may be wide all the same.
+    """
 
     lower: Floats
     upper: Floats
     policy: SmallInts
     status: Status = "solved"
     message: str = ""
+    cause: str = ""
 
     @classmethod
     def known(cls, mdp: MDP, value: Floats, rows: Bools) -> Stage:
@@ -64,6 +69,8 @@ def solve_core(
     if not answer.complete:
         stage.status = "limit"
         stage.message = limits.reason
+    elif answer.given_up:
+        stage.cause = f"states that are seldom left were given up after {GIVE_UP} sweeps"
     chosen = answer.policy
     row = np.where(chosen >= 0, core.source[np.maximum(chosen, 0)], -1) if len(
         core.source
@@ -85,13 +92,13 @@ def solve_core(
 
 def gap_status(stage: Stage, mdp: MDP, epsilon: float) -> None:
     """Say ``limit`` if the initial state's bounds are wider than epsilon."""
+    overflow = bool(np.isnan(stage.lower[mdp.initial]) or np.isnan(stage.upper[mdp.initial]))
     # What overflowed says nothing.
     stage.lower = np.nan_to_num(stage.lower, nan=-np.inf, posinf=np.inf, neginf=-np.inf)
     stage.upper = np.nan_to_num(stage.upper, nan=np.inf, posinf=np.inf, neginf=-np.inf)
     low, high = stage.lower[mdp.initial], stage.upper[mdp.initial]
     if stage.status == "solved" and low != high and not high - low <= epsilon:
+        rounding = f"double precision cannot bring them within {epsilon:g} here"
+        cause = "numbers are too large for doubles" if overflow else stage.cause or rounding
         stage.status = "limit"
-        stage.message = (
-            f"the bounds are {high - low:.3g} apart; double precision cannot bring them within "
-            f"{epsilon:g} here"
-        )
+        stage.message = f"the bounds are {high - low:.3g} apart; {cause}"

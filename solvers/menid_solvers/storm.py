@@ -5,7 +5,12 @@ Hensel, Junges, Katoen, Quatmann and Volk, The probabilistic model checker Storm
 
 from __future__ import annotations
 
+import ctypes
+import os
+import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any, ClassVar
@@ -58,13 +63,17 @@ class Storm:
         if mdp.horizon is not None and objective == "goal-then-reward":
             raise UnsupportedError("storm cannot put the goal before the reward within a horizon")
         rows = mdp.rows_of(~mdp.goal)
-        if objective == "goal-then-reward":
-            lower, upper, policy, chance = self._goal_then_reward(mdp, rows)
-        else:
-            chance = None
-            lower, upper, policy = self._plain(mdp, rows, objective)
-            if objective == "goal-probability":
-                chance = (lower + upper) / 2
+        import_stormpy()  # whatever is amiss with it is said first
+        with quiet_output():
+            if objective == "goal-then-reward":
+                lower, upper, policy, chance = self._goal_then_reward(mdp, rows)
+            else:
+                chance = None
+                lower, upper, policy = self._plain(mdp, rows, objective)
+                if objective == "goal-probability":
+                    chance = (lower + upper) / 2
+            if mdp.horizon != 0:
+                self._complete(mdp, rows, objective, (lower + upper) / 2, policy)
         low, high = lower[mdp.initial], upper[mdp.initial]
         status: Status = "solved"
         message = ""
@@ -115,6 +124,33 @@ class Storm:
             lower, upper, policy = model.check(f'R{{"r"}}max=? [C{bound}]', self.epsilon)
             return lower - lift * mdp.horizon, upper - lift * mdp.horizon, policy
         return self._total(mdp, rows, "C")
+
+    def _complete(
+        self, mdp: MDP, rows: Bools, objective: Objective, value: Floats, policy: SmallInts
+    ) -> None:
+        """Choose rows where Storm gives none: within a horizon, or if some total is infinite."""
+        from menid_solvers.graph import Graph, lowest_rows
+
+        missing = (policy < 0) & (lowest_rows(mdp, rows) >= 0)
+        if not bool(missing.any()):
+            return
+        paid = mdp.row_reward if objective == "reward" else np.zeros(mdp.rows)
+        after = value
+        if mdp.horizon is not None:
+            low, high, _ = self._plain(replace(mdp, horizon=mdp.horizon - 1), rows, objective)
+            after = (low + high) / 2
+        chance = mdp.probability
+        with np.errstate(invalid="ignore"):
+            worth = np.where(chance > 0.0, chance * after[mdp.next_state], 0.0)
+        worth = np.add.reduceat(worth, mdp.row_transition[:-1]) + paid
+        best = np.full(mdp.states, -np.inf)
+        state = mdp.row_state
+        np.maximum.at(best, state[rows], worth[rows])
+        good = rows & (worth >= best[state] - self.epsilon)
+        chosen = lowest_rows(mdp, good)
+        if mdp.horizon is None:  # lingering among good rows would never be paid
+            Graph(mdp, rows).steer(good, value <= self.epsilon, chosen)
+        policy[missing] = chosen[missing]
 
     def _total(self, mdp: MDP, rows: Bools, path: str) -> tuple[Floats, Floats, SmallInts]:
         reward = mdp.row_reward
@@ -238,6 +274,24 @@ class StormModel:
                 choice = scheduler.get_choice(s).get_deterministic_choice()
                 policy[s] = self.source[self.first[s] + choice]
         return lower, upper, policy
+
+
+@contextmanager
+def quiet_output() -> Iterator[None]:
+    """What Storm writes to standard output goes to standard error: our own output may be data."""
+    sys.stdout.flush()
+    try:
+        kept = os.dup(1)
+        os.dup2(2, 1)
+    except OSError:  # one of them is closed
+        yield
+        return
+    try:
+        yield
+    finally:
+        ctypes.CDLL(None).fflush(None)  # before it goes where it should not
+        os.dup2(kept, 1)
+        os.close(kept)
 
 
 def import_stormpy() -> tuple[Any, Any, Any]:

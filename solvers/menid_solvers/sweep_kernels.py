@@ -16,11 +16,11 @@ _ROWS = "i8[::1], i4[::1], u4[::1], i4[::1], f8[::1], f8[::1], f8[::1]"
 _TAKEN = "i8[::1], u4[::1], f8[::1], f8[::1]"
 
 
-@kernel(f"void(i8, i8, b1, {_ROWS}, f8[::1], i8[::1], f8[::1])")
+@kernel(f"void(i8, i8, f8, {_ROWS}, f8[::1], i8[::1], f8[::1])")
 def sweep_all(
     first: int,
     last: int,
-    upward: bool,
+    lift: float,
     first_row: Ints,
     first_entry: SmallInts,
     target: Naturals,
@@ -34,7 +34,7 @@ def sweep_all(
 ) -> None:
     """x[u] = the best of the rows, for each unknown; policy: which it was, lowest first.
 
-    With ``upward`` x only rises, and the policy is left alone.
+    With a lift above 0 x only rises, to the best and the lift; the policy is left alone.
     """
     rise = 0.0
     fall = 0.0
@@ -51,11 +51,12 @@ def sweep_all(
             if value > best:
                 best = value
                 chosen = i
+        best += lift
         change = best - x[u]
         rise = max(rise, change)
         fall = max(fall, -change)
         largest = max(largest, abs(best))
-        if not upward:
+        if lift == 0.0:
             x[u] = best
             policy[u] = chosen
         elif change > 0.0:
