@@ -144,6 +144,16 @@ def test_exact_bound_properties(counts: list[float], epsilon: float, data: st.Da
         assert 1.0 - errors.within(bound) == pytest.approx(epsilon, rel=1e-4)
 
 
+@pytest.mark.parametrize("method", ["exact", "bonferroni"])
+@pytest.mark.parametrize(
+    "shape", [[0.5, 0.5], [0.9, 0.1], [0.25, 0.5, 0.25], [0.25] * 4, [0.2] * 5]
+)
+def test_very_large_counts(method: Method, shape: list[float]) -> None:
+    # The errors become normal ones: their bounds shrink with the root of the number.
+    small, large = (delta([size * q for q in shape], 0.05, method) for size in (1e9, 1e12))
+    assert large * math.sqrt(1000) == pytest.approx(small, rel=1e-4)
+
+
 def test_fractions_next_to_the_end() -> None:
     # Beta(1, 1.25) at .993: its density bends ever more towards 1.
     bound = delta([0, 0.25], 2**-9)
@@ -240,7 +250,9 @@ def test_mode() -> None:
         ([[1.0, 2.0]], 0.1, "a row"),
         ([1.0, -2.0], 0.1, "below 0"),
         ([1.0, math.nan], 0.1, "finite"),
-        ([1e308, 1e308], 0.1, "finite"),
+        ([1e308, 1e308], 0.1, r"the count 1e\+308 is too large"),
+        ([1.0, 1e18], 0.1, r"the count 1e\+18 is too large"),
+        ([1e15, 1e15, 1e15], 0.1, r"the count 1e\+15 is too large"),
         ([1.0, 2.0], 0.0, "between 0 and 1"),
         ([1.0, 2.0], 1.0, "between 0 and 1"),
         ([1.0, 2.0], math.nan, "between 0 and 1"),
@@ -351,7 +363,12 @@ def test_command_json(menid: Callable[..., Result]) -> None:
         ([], "Missing argument"),
         (["nan", "3"], "it must be finite"),
         (["1e400", "3"], "it must be finite"),
-        (["1e308", "1e308"], "counts must be finite"),
+        (["1e308", "1e308"], "the count 1e+308 is too large"),
+        (["1e18", "5"], "the count 1e+18 is too large"),
+        (["99999999999999999999", "1"], "the count 1e+20 is too large"),
+        (["1e18", "1", "1", "1", "1", "1"], "the count 1e+18 is too large"),
+        (["3", "3", "--seed", "1"], "--seed goes with --method monte-carlo only"),
+        (["3", "3", "--samples", "10"], "--samples goes with --method monte-carlo only"),
         (["x", "3"], "`x` is not a number"),
         (["3", "3", "--epsilon", "1"], "1 does not lie between 0 and 1"),
         (["3", "3", "--epsilon", "nan"], "nan does not lie between 0 and 1"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,12 @@ import menid_plan
 from conftest import ROOT
 from environments_faulty import Faulty
 from menid_plan.environments.atoms import Vocabulary, state_texts
-from menid_plan.environments.interface import CannotResetError, EnvironmentFailedError
+from menid_plan.environments.interface import (
+    CannotResetError,
+    Capabilities,
+    EnvironmentFailedError,
+    Execution,
+)
 from menid_plan.environments.registry import (
     EnvironmentSpec,
     UnknownKindError,
@@ -24,6 +30,7 @@ from menid_plan.environments.registry import (
     make,
 )
 from menid_plan.environments.seeds import seed_of
+from menid_plan.environments.session import Session
 from menid_plan.environments.settings import SettingError, read_settings
 from menid_plan.environments.simulated import Simulated
 from menid_plan.errors import MeaningError
@@ -184,6 +191,39 @@ def bank(folder: Path, form: str) -> str:
     other = '{"environment": "fine", "state": [], "action": "lever(n8)", "after": []}'
     (folder / "seen.jsonl").write_text("\n".join([*lines, "", other]) + "\n")
     return "seen.jsonl"
+
+
+def test_a_bank_may_be_the_folder_of_a_run(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    bank(tmp_path / "run", "store")
+    (tmp_path / "run" / "seen.db").rename(tmp_path / "run" / "experiences.sqlite")
+    found = make("recorded", {"store": "run"}, DOMAIN, PROBLEM, "coarse", folder=tmp_path)
+    assert found.capabilities.note == "3 experiences of 1 pairs of state and action"
+
+
+@pytest.mark.parametrize("duration", [1e308, float("nan"), float("inf"), -1.0, 2e9])
+def test_durations_that_cannot_be(duration: float) -> None:
+    class Slow:
+        capabilities = Capabilities()
+
+        def execute(self, action: GroundAction) -> Execution:
+            return Execution(INITIAL, None, duration)
+
+    session = Session(Slow(), DOMAIN, PROBLEM, "coarse")  # type: ignore[arg-type]
+    with pytest.raises(EnvironmentFailedError, match=r"environment `coarse`, .*: the duration is"):
+        session.execute(LEVER)
+
+
+def test_an_environment_that_ends_the_program() -> None:
+    class Quitter:
+        capabilities = Capabilities()
+
+        def execute(self, action: GroundAction) -> Execution:
+            sys.exit(4)
+
+    session = Session(Quitter(), DOMAIN, PROBLEM, "coarse")  # type: ignore[arg-type]
+    with pytest.raises(EnvironmentFailedError, match=r"`coarse`: it called sys.exit\(4\)"):
+        session.execute(LEVER)
 
 
 @pytest.mark.parametrize("form", ["store", "lines"])

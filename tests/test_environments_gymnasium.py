@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from pathlib import Path
 from typing import Any
@@ -100,6 +101,18 @@ def test_wrong_names_are_told(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(SettingError) as caught:
         lamp(**settings)
     assert message in str(caught.value)
+
+
+def test_a_file_may_import_what_is_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "beside_the_lamp.py").write_text(f"from {HERE} import atoms\n")
+    (tmp_path / "lamp_file.py").write_text("from beside_the_lamp import atoms\n")
+    found = make(
+        "gymnasium",
+        {"make": f"{HERE}:Lamp", "atoms": "lamp_file.py:atoms", "action": f"{HERE}:action"},
+        DOCUMENT.domain, DOCUMENT.problem, "target", folder=tmp_path,
+    )  # fmt: skip
+    assert found.reset(None, 1) == frozenset()
+    assert str(tmp_path) not in sys.path
 
 
 def test_atoms_that_do_not_exist() -> None:

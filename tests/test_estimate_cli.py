@@ -243,6 +243,12 @@ def test_stores_of_other_domains_and_what_is_no_store(menid: Menid, run: Path) -
         (["--estimator", "empirical", "--m", "3"], "has no option `m`"),
         (["--epsilon", "1"], "--epsilon"),
         (["--m", "-1"], "--m"),
+        (["--m", "1e308"], "Invalid value for '--m': 1e+308 is too large"),
+        (["--m", "nan"], "'--m'"),
+        (["--m", "inf", "-o", "out.menid"], "'--m'"),
+        (["--prior-weight", "nan"], "Invalid value for '--prior-weight': nan is not a finite"),
+        (["--prior-weight", "1e300"], "'--prior-weight'"),
+        (["--epsilon", "nan"], "'--epsilon'"),
     ],
 )
 def test_wrong_options(menid: Menid, options: list[str], message: str) -> None:
@@ -250,6 +256,85 @@ def test_wrong_options(menid: Menid, options: list[str], message: str) -> None:
     result = menid("estimate", "coins.menid", *options)
     assert result.exit_code == 2
     assert message in result.stderr
+
+
+def test_counts_that_are_too_large(menid: Menid) -> None:
+    Path("coins.menid").write_text(COINS % ("1e20", 2), encoding="utf-8")
+    result = menid("estimate", "coins.menid", "-o", "out.menid")
+    assert result.exit_code == 3
+    assert "`toss.toss`: the counts observed in `real` sum to more than 1e+12" in result.stderr
+    assert not Path("out.menid").exists()
+
+
+def test_a_store_is_not_written_over(menid: Menid, run: Path) -> None:
+    path = run / "experiences.sqlite"
+    before = path.read_bytes()
+    Path("link").symlink_to(path)
+    for given in (run, path, Path("link")):
+        for output in (path, Path("link"), Path(f"{path}-wal"), Path(f"{path}.lock")):
+            result = menid("estimate", "levers.menid", str(given), "-o", str(output))
+            assert result.exit_code == 2
+            assert "is an input" in result.stderr
+    assert path.read_bytes() == before
+
+
+def test_a_domain_with_what_was_learned(menid: Menid, run: Path) -> None:
+    learned = run / "learned.menid"
+    result = menid("estimate", str(learned), str(run), "-o", "again.menid")
+    assert result.exit_code == 0
+    assert "has counts of rule `pull.dry`" in result.stderr
+    assert "so that nothing is counted twice" in result.stderr
+    assert Path("again.menid").read_bytes() == learned.read_bytes()
+
+
+def test_comments_make_no_other_domain(menid: Menid, run: Path) -> None:
+    Path("levers.menid").write_text("# Levers.\n\n" + LEVERS + "\n# The end.", encoding="utf-8")
+    result = menid("estimate", "levers.menid", str(run))
+    assert (result.exit_code, result.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"learn": 1}, "`learn`"),
+        ({"learn": {"estimator": 1}}, "`estimator`"),
+        ({"learn": {"estimator": "none"}}, "there is no estimator `none`"),
+        ({"learn": {"estimator_options": {"m": "a"}}}, "m must be a number, not `a`"),
+        ({"learn": {"prior_weight": "a"}}, "`prior_weight`"),
+        ({"environments": ["sketch"]}, "`environments`"),
+        ({"params": {"none": 1}}, "`params.none`"),
+    ],
+)
+def test_settings_of_a_store_that_somebody_changed(
+    menid: Menid, run: Path, settings: Any, message: str
+) -> None:
+    import sqlite3
+
+    connection = sqlite3.connect(run / "experiences.sqlite")
+    text = json.dumps(settings)
+    connection.execute("UPDATE meta SET value = ? WHERE key = 'settings'", (text,))
+    connection.commit()
+    connection.close()
+    result = menid("estimate", "levers.menid", str(run))
+    assert result.exit_code == 3
+    assert "is damaged: in its settings " in result.stderr
+    assert message in result.stderr
+
+
+def test_the_same_is_told_of_a_damaged_store(menid: Menid, run: Path) -> None:
+    import sqlite3
+
+    connection = sqlite3.connect(run / "experiences.sqlite")
+    connection.execute("UPDATE experiences SET reward = 'abc' WHERE id = 2")
+    connection.commit()
+    connection.close()
+    for arguments in (("experiences", str(run)), ("estimate", "levers.menid", str(run))):
+        result = menid(*arguments)
+        assert result.exit_code == 3
+        assert result.stderr == (
+            f"menid: the store `{run / 'experiences.sqlite'}` is damaged: "
+            "experience 2: its reward is no finite number\n"
+        )
 
 
 def test_nothing_was_seen(menid: Menid) -> None:

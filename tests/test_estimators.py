@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from fractions import Fraction
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -429,10 +430,20 @@ def test_unknown_names() -> None:
         ("precision-grid", {"points": 0}),
         ("precision-grid", {"highest": -1.0}),
         ("subsets", {"weight": 2.0}),
+        ("decreasing-m", {"m": 1e308}),
+        ("decreasing-m", {"m": "a"}),
+        ("decreasing-m", {"m": [1.0, "a"]}),
+        ("robust", {"cap": "a"}),
+        ("robust", {"weight": "a"}),
+        ("power-prior", {"points": "a"}),
+        ("power-prior", {"points": 1e9}),
+        ("precision-grid", {"points": 2.5}),
+        ("precision-grid", {"highest": 1e300}),
     ],
 )
-def test_options_that_mean_nothing(name: str, options: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match="must"):
+def test_options_that_mean_nothing(name: str, options: dict[str, Any]) -> None:
+    (option,) = options
+    with pytest.raises(ValueError, match=f"^{option} must"):
         estimator(name, **options)
 
 
@@ -446,6 +457,7 @@ def test_options_that_mean_nothing(name: str, options: dict[str, float]) -> None
         ([[1, -1]], None, "below 0"),
         ([[1, math.nan]], None, "finite"),
         ([[1, math.inf]], None, "finite"),
+        ([[1, 1e300]], None, "beyond"),
         ([[1, 2]], [1], "the prior has the shape"),
         ([[1, 2]], [1, -2], "below 0"),
         ([[1, 2]], [1, math.nan], "finite"),

@@ -107,11 +107,21 @@ def test_lines_that_a_store_has_otherwise(lamp: Menid) -> None:
     result = lamp("experiences", "run.store", "--import", "-", input=text)
     assert result.exit_code == 3
     assert "has test 0 of `press(left)` in `model` already" in result.output
+    assert result.output.startswith(
+        "menid: `standard input`, line 2: the store `run.store` has test"
+    )
+    Path("gap.jsonl").write_text("\n\n" + text, encoding="utf-8")
+    assert (
+        "`gap.jsonl`, line 4: " in lamp("experiences", "run.store", "--import", "gap.jsonl").output
+    )
     Path("other.menid").write_text(TEXT.replace("0.7", "0.5").replace("0.3", "0.5"))
     arguments = ("--import", "run.jsonl", "--domain", "other.menid")
+    assert lamp("experiences", "run.store", *arguments).exit_code == 0
+    Path("other.menid").write_text(TEXT.replace("0.3 worn(s)", "0.3 not worn(s)"))
     result = lamp("experiences", "run.store", *arguments)
     assert result.exit_code == 3
     assert "a store of another domain" in result.output
+    assert "rule `press.dark` differs" in result.output
 
 
 @pytest.mark.parametrize(
@@ -251,6 +261,39 @@ def test_nothing_is_imported_half(lamp: Menid) -> None:
     )
     assert result.exit_code == 3
     assert not list(Path().glob("new.store*"))
+
+
+@pytest.mark.parametrize("ending", ["", "-wal", "-shm", ".lock"])
+def test_a_store_is_not_written_over(lamp: Menid, ending: str) -> None:
+    before = Path("run.store").read_bytes()
+    Path("link").symlink_to("run.store")
+    for store in ("run.store", "link"):
+        result = lamp("experiences", store, "--export", f"run.store{ending}")
+        assert result.exit_code == 2
+        assert f"cannot write `run.store{ending}`: " in result.output
+    if not ending:
+        for target in ("link", "./run.store"):
+            assert lamp("experiences", "run.store", "--export", target).exit_code == 2
+    assert Path("run.store").read_bytes() == before
+
+
+def test_a_new_store_is_not_what_is_imported(lamp: Menid) -> None:
+    Path("empty").touch()
+    for options in (("--domain", "lamp.menid"), ()):
+        assert lamp("experiences", "empty", "--import", "empty", *options).exit_code == 2
+    assert Path("empty").read_bytes() == b""
+
+
+def test_the_folder_of_a_run(lamp: Menid) -> None:
+    Path("out").mkdir()
+    result = lamp("experiences", "out")
+    assert (result.exit_code, result.output) == (
+        3, "menid: there is no store `out/experiences.sqlite`\n"
+    )  # fmt: skip
+    Path("run.store").rename("out/experiences.sqlite")
+    assert "domain lamp, problem evening, seed 7" in lamp("experiences", "out").output
+    result = lamp("experiences", "out", "--export", "out/experiences.sqlite")
+    assert result.exit_code == 2
 
 
 def test_a_failed_export_leaves_the_old_file(lamp: Menid) -> None:

@@ -157,6 +157,7 @@ def test_resume_goes_on(levers: Menid) -> None:
         ("tset_time = 3", "run.toml: learn.tset_time: unknown key; did you mean `test_time`?"),
         ('delta = "small"', "run.toml: learn.delta: expected a number"),
         ("epsilon = 1.5", "run.toml: learn.epsilon: expected a number between 0 and 1"),
+        ("epsilon = 1e-9", "run.toml: learn.epsilon: expected at least 1e-07"),
         ("lanes = 0", "run.toml: learn.lanes: expected at least 1"),
         ('stop = "never"', 'run.toml: learn.stop: expected "delta" or "gap" or "best"'),
         (
@@ -213,6 +214,39 @@ def test_a_problem_that_is_over_at_once(levers: Menid) -> None:
     result = learn(levers)
     assert result.exit_code == 3
     assert "an episode is over in the very state in which episodes begin" in result.stderr
+
+
+def test_a_run_that_did_not_start_can_be_put_right(levers: Menid) -> None:
+    right = Path("run.toml").read_text(encoding="utf-8")
+    wrong = right.replace(
+        '"simulated"\nduration', '"simulated"\nsettings.column = "nowhere"\nduration'
+    )
+    for resume in ((), ("--resume",)):
+        Path("run.toml").write_text(wrong, encoding="utf-8")
+        result = learn(levers, out=f"out{len(resume)}")
+        assert result.exit_code == 3
+        assert result.stderr.startswith(
+            "menid: run.toml: environment.bench.settings.column: `nowhere`"
+        )
+        Path("run.toml").write_text(right, encoding="utf-8")
+        assert learn(levers, *resume, out=f"out{len(resume)}").exit_code == 0
+        assert steps(f"out{len(resume)}") == 12
+
+
+@pytest.mark.parametrize("how", ["missing", "empty"])
+def test_a_run_whose_store_is_lost(levers: Menid, how: str) -> None:
+    assert learn(levers).exit_code == 0
+    curve = Path("out/curve.csv").read_bytes()
+    store = Path("out/experiences.sqlite")
+    store.unlink()
+    if how == "empty":
+        store.write_bytes(b"")
+    result = learn(levers, "--resume")
+    assert result.exit_code == 3
+    assert f"is {how}, though curve.csv tells of 12 steps" in result.stderr
+    assert "learn anew in another folder" in result.stderr
+    assert learn(levers).exit_code == 3  # nor is it replaced
+    assert Path("out/curve.csv").read_bytes() == curve
 
 
 def test_a_store_of_another_domain(levers: Menid) -> None:
@@ -316,6 +350,123 @@ def test_a_full_disk(tmp_path: Path, levers: Menid, room: int) -> None:
         assert (Path("out") / name).read_bytes() == (Path("roomy") / name).read_bytes()
 
 
+PRINTS = """\
+import os, sys
+import gymnasium
+
+class Env(gymnasium.Env):
+    def reset(self, seed=None, options=None):
+        print("pybullet build time")
+        os.write(1, b"from C\\n")
+        return 0, {}
+    def step(self, action):
+        if QUITS:
+            sys.exit(4)
+        return 0, 0.0, False, False, {}
+
+def atoms(env, observation): return []
+def action(env, name, arguments): return 0
+"""
+
+GYM = """\
+[environment.bench]
+kind = "simulated"
+duration = 20
+[environment.model]
+kind = "gymnasium"
+duration = 1
+retries = 0
+settings = { make = "env.py:Env", atoms = "env.py:atoms", action = "env.py:action" }
+[learn]
+test_time = 2
+steps = 2
+"""
+
+
+def ran(*options: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", "from menid_plan.cli.main import main; main()", "learn",
+         "levers.menid", "--run", "run.toml", "-o", "out", *options],
+        capture_output=True, check=False, text=True, timeout=60,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("workers", ["0", "1"])
+def test_an_environment_that_prints_or_ends_the_program(levers: Menid, workers: str) -> None:
+    pytest.importorskip("gymnasium")
+    Path("run.toml").write_text(GYM, encoding="utf-8")
+    Path("env.py").write_text(f"QUITS = False\n{PRINTS}", encoding="utf-8")
+    found = ran("--json", "--workers", workers)
+    assert json.loads(found.stdout)["steps"] == 2
+    assert "pybullet build time\n" in found.stderr
+    assert "from C\n" in found.stderr
+    Path("out").rename("before")
+    Path("env.py").write_text(f"QUITS = True\n{PRINTS}", encoding="utf-8")
+    found = ran("--workers", workers)
+    assert found.returncode == 0, found.stderr
+    assert "attempt 1: it called sys.exit(4)" in found.stderr
+    assert all(line.count("environment `model`") <= 1 for line in found.stderr.splitlines())
+    assert "Fatal" not in found.stderr
+
+
+def test_a_target_that_does_not_start_is_named(levers: Menid) -> None:
+    Path("stub.py").write_text("raise SystemExit(3)\n", encoding="utf-8")
+    text = '[environment.bench]\nkind = "process"\nsettings.command = ["{python}", "stub.py"]\n'
+    Path("run.toml").write_text(text, encoding="utf-8")
+    result = learn(levers)
+    assert result.exit_code == 5
+    assert result.stderr.startswith(
+        "menid: environment `bench`: the program ended with exit code 3"
+    )
+
+
+def test_schedulers_and_workers_that_cannot_be(levers: Menid) -> None:
+    text = Path("run.toml").read_text(encoding="utf-8")
+    Path("run.toml").write_text(text.replace("number = 0", 'scheduler = "foo"'), encoding="utf-8")
+    result = learn(levers)
+    assert result.exit_code == 3
+    assert result.stderr == (
+        "menid: run.toml: workers.scheduler: expected an address such as tcp://HOST:8786, not `foo`\n"
+    )
+    Path("run.toml").write_text(text.replace("number = 0", "number = 100000"), encoding="utf-8")
+    result = learn(levers)
+    assert result.exit_code == 3
+    assert "run.toml: workers.number: expected at most 1024, not 100000" in result.stderr
+    assert learn(levers, "--workers", "100000").exit_code == 2
+
+
+def test_a_goal_that_is_out_of_reach_is_told(levers: Menid) -> None:
+    text = LEVERS.replace("works:  0.9 0.9 0.9", "works:  0.0 0.0 0.0").replace(
+        "breaks: 0.1 0.1 0.1", "breaks: 1.0 1.0 1.0"
+    )
+    Path("levers.menid").write_text(text, encoding="utf-8")
+    Path("run.toml").write_text(
+        RUN_FILE + 'objective = "goal-then-reward"\nestimator = "empirical"\n', encoding="utf-8"
+    )
+    result = learn(levers, "--test-time", "0", "--steps", "100")
+    assert re.search(r"goal-then-reward \S+, goal probability 0(\.\d+)?\n", result.stdout)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_a_run_that_is_terminated_ends_as_by_ctrl_c(levers: Menid) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from menid_plan.cli.main import main; main()", "learn",
+         "levers.menid", "--run", "run.toml", "-o", "out", "--steps", "10000000"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 50
+    while time.monotonic() < deadline:
+        curve = Path("out/curve.csv")
+        if curve.exists() and curve.stat().st_size > 500:
+            break
+        time.sleep(0.05)
+    process.terminate()
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 6
+    assert "interrupted; --resume goes on with this run" in said
+    assert Path("out/learned.menid").exists()
+
+
 # ------------------------------------------------------------------------------------- clocks, views
 
 
@@ -339,17 +490,20 @@ def test_the_real_clock(levers: Menid) -> None:
 def test_lines_where_there_is_no_terminal(levers: Menid, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("menid_plan.cli.learn._View.EVERY", 0.0)
     lines = learn(levers).stderr.splitlines()
-    assert lines[0] == "0:00:04: reward 0, 0 steps, 0 episodes; executions: bench 0, model 4"
+    rest = "reward 0, 0 steps, 0 episodes; executions: bench 0"
+    assert lines[0] == f"0:00:01 on the virtual clock: {rest}, model 1"  # within a test too
+    assert lines[4] == f"0:00:04 on the virtual clock: {rest}, model 4"
     assert lines[-1].startswith("0:0")
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a pseudo-terminal")
-def test_a_table_on_a_terminal(levers: Menid) -> None:
+@pytest.mark.parametrize("columns", [40, 80])
+def test_a_table_on_a_terminal(levers: Menid, columns: int) -> None:
     import pty
 
     pid, terminal = pty.fork()
     if pid == 0:  # pragma: no cover - another process
-        os.environ.update(TERM="xterm", COLUMNS="80", LINES="40")
+        os.environ.update(TERM="xterm", COLUMNS=str(columns), LINES="40")
         os.execv(
             sys.executable,
             [sys.executable, "-c", "from menid_plan.cli.main import main; main()", "learn",
@@ -367,10 +521,17 @@ def test_a_table_on_a_terminal(levers: Menid) -> None:
     os.close(terminal)
     assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
     text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", seen.decode())
-    assert re.search(r"0:\d\d:\d\d  reward -?\d+  \d+ steps?  \d+ episodes?", text)
+    assert "150 steps in" in text
+    if columns == 40:
+        assert re.search(r"environment +time +done", text)
+        assert re.search(r"bench +0:\d\d:\d\d +\d+", text)
+        assert "…" not in text
+        return
+    assert re.search(
+        r"0:\d\d:\d\d on the virtual clock  reward -?\d+  \d+ steps?  \d+ episodes?", text
+    )
     assert re.search(r"environment +role +executions +time +failed", text)
     assert re.search(r"bench +target +\d+ +0:\d\d:\d\d +0", text)
     assert re.search(r"least sure in the target +delta", text)
     assert re.search(r"pull\.dry for (left|right) +0\.\d\d\d", text)
-    assert "150 steps in" in text
     assert max(len(line.rstrip()) for line in text.splitlines()) <= 100

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sqlite3
 import subprocess
 import sys
@@ -288,15 +287,52 @@ def test_a_store_of_something_else(path: Path) -> None:
     domain, problem = BOTH
     other = parts(TEXT.replace("0.7", "0.6").replace("0.3", "0.4"))[0]
     error = told(lambda: Store.resume(path, other, problem))
-    assert f"`{path}` is a store of another domain: of `lamp` (" in str(error)
-    assert "), not of this `lamp` (" in str(error)
+    assert str(error) == (
+        f"`{path}` is a store of another domain: of `lamp`, not of this `lamp`; "
+        "rule `press.dark` differs"
+    )
     assert error.exit_code == 3
     night = parts(TEXT.replace("evening", "night"))[1]
     for make in (Store.resume, lambda *a: Store.create(*a, resume=True)):
         error = told(lambda m=make: m(path, domain, night))  # type: ignore[misc]
-        assert "another problem: of `evening` (" in str(error)
-        assert "not of this `night` (" in str(error)
+        assert "another problem: of `evening`, not of this `night`; the name differs" in str(error)
     Store.resume(path, *parts(TEXT.replace("type switch", "type   switch"))).close()
+
+
+def test_comments_do_not_count(path: Path) -> None:
+    Store.create(path, *BOTH).close()
+    commented = TEXT.replace("predicate lit", "# It shines.\npredicate lit")
+    commented = commented.replace("  rule dark", "  # Nobody sees a thing.\n  rule dark")
+    commented = commented.replace("object left", "# Two.\nobject left")
+    with Store.resume(path, *parts(commented)) as store:
+        store.must_suit(*parts(commented))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        ("type switch", "type thing\ntype switch < thing", "type `switch` differs"),
+        ("predicate lit", "predicate lit\npredicate hot", "predicate `hot` is not in the store's"),
+        ("3 worn(s)", "3 lit", "rule `press.dark` differs"),
+        ("slept:", "dozed:", "rule `rest.any` differs"),
+        ("environment sketch : test", "", "environment `sketch` is in the store's only"),
+        ("object left,", "object middle, left,", "object `middle` is not in the store's"),
+        ("goal lit", "goal not lit", "the goal differs"),
+    ],
+)
+def test_what_differs_is_told(path: Path, old: str, new: str, what: str) -> None:
+    assert old in TEXT
+    with Store.create(path, *BOTH) as store:
+        other = parts(TEXT.replace(old, new))
+        for refuse in (store.must_be_of, store.must_suit):
+            assert str(told(lambda r=refuse: r(*other))).endswith(f"; {what}")  # type: ignore[misc]
+
+
+def test_other_probabilities_suit_the_experiences(path: Path) -> None:
+    other = parts(TEXT.replace("0.7", "0.6").replace("0.3", "0.4"))
+    with Store.create(path, *BOTH) as store:
+        store.must_suit(*other)
+        told(lambda: store.must_be_of(*other))
 
 
 def test_one_writer_and_readers(store: Store, path: Path) -> None:
@@ -637,27 +673,98 @@ def test_an_interrupted_batch_is_not_there(store: Store) -> None:
     assert list(store) == [test_of(0, state=state("worn right"))]
 
 
-def test_tables_that_somebody_changed(path: Path) -> None:
+DAMAGE = {
+    "UPDATE states SET atoms = 'lit(' WHERE atoms = 'lit'": "experience 1: `lit(` is no list",
+    "UPDATE states SET atoms = 'dark' WHERE atoms = 'lit'": "experience 1: `dark`: there is no pred",
+    "UPDATE states SET atoms = x'ff' WHERE atoms = 'lit'": "experience 1: it is no text",
+    "UPDATE states SET atoms = CAST(x'ff' AS TEXT) WHERE atoms = 'lit'": "UTF-8",
+    "INSERT INTO states (atoms) VALUES ('dark')": "state 3: `dark`: there is no predicate",
+    "UPDATE actions SET text = 'a, b'": "experience 1: its explanation is of another action",
+    "UPDATE actions SET text = 'lit, press(left)'": "experience 1: its explanation is of another",
+    "UPDATE actions SET text = 'press(up)'": "experience 1: `press(up)`: there is no object `up`",
+    "UPDATE explanations SET rule = 'gone'": "experience 1: there is no rule `press.gone`",
+    "UPDATE explanations SET weights = '{'": "experience 1: its values or weights are no JSON",
+    "UPDATE explanations SET weights = '7'": "experience 1: its values or weights are no list",
+    "UPDATE explanations SET weights = '[1.0, 0.0]'": "has 3 outcomes, and 2 weights are given",
+    "UPDATE explanations SET weights = '[5.0, -4.0, 0.0]'": "no shares that sum to 1: 5.0, -4.0, 0.0",
+    "UPDATE explanations SET weights = '[NaN, 1, 0]'": "no shares that sum to 1",
+    "UPDATE explanations SET per = '[]'": "experience 1: the values of rule `press.dark`",
+    "UPDATE experiences SET reward = 'abc' WHERE id = 2": "experience 2: its reward is no finite",
+    "UPDATE experiences SET duration = -5": "experience 1: its duration is no finite number >= 0",
+    "UPDATE experiences SET duration = 9e999": "experience 1: its duration is no finite number",
+    "UPDATE experiences SET finished = 'now'": "experience 1: the time of its end is no finite",
+    "UPDATE experiences SET seed = '1x'": "experience 1: its seed is no whole number",
+    "UPDATE experiences SET state = 77": "experience 1: its state is not there",
+    "UPDATE experiences SET after = 77 WHERE id = 2": "experience 2: its state after is not there",
+    "UPDATE experiences SET explanation = 77": "experience 1: its explanation is not there",
+    "UPDATE experiences SET test = 'a' WHERE id = 1": "experience 1: it is a test, and its number",
+    "UPDATE experiences SET step = 1 WHERE id = 1": "experience 1: it is a test, and its number",
+    "DELETE FROM states": "experience 1: its state is not there",
+    "DELETE FROM environments": "environment `room` of its domain is not there",
+    "UPDATE environments SET role = 'test'": "the role of environment `room` is not target",
+    "INSERT INTO environments VALUES (9, 'x', 'test')": "an environment that is not in its domain",
+    "DROP TABLE actions": "no such table",
+    "DELETE FROM meta WHERE key = 'settings'": "`settings` is not in its table `meta`",
+    "DELETE FROM meta WHERE key = 'domain'": "`domain` is not in its table `meta`",
+    "UPDATE meta SET value = '{bad' WHERE key = 'settings'": "its `settings` is no JSON object",
+    "UPDATE meta SET value = '[]' WHERE key = 'settings'": "its `settings` is no JSON object",
+    "UPDATE meta SET value = 'x' WHERE key = 'seed'": "its `seed` is no whole number",
+    "UPDATE meta SET value = 'domain' WHERE key = 'domain'": "the text of its domain or problem: ",
+    "UPDATE meta SET value = '' WHERE key = 'problem'": "the text of its",
+    "PRAGMA user_version = 0": "it has the version 0",
+    "PRAGMA user_version = -3": "it has the version -3",
+}
+
+
+@pytest.mark.parametrize("statement", DAMAGE)
+def test_tables_that_somebody_changed(path: Path, statement: str) -> None:
     with Store.create(path, *BOTH) as store:
-        store.add([test_of(0)])
-    changes = {
-        "UPDATE states SET atoms = 'lit(' WHERE atoms = 'lit'": "`lit(` is no list of atoms",
-        "UPDATE actions SET text = 'a, b'": "`a, b` is no action",
-        "UPDATE explanations SET weights = '{'": "damaged",
-        "DELETE FROM states": "damaged",
-        "DELETE FROM environments": "damaged",
-        "DROP TABLE actions": "no such table",
-    }
-    for statement, message in changes.items():
-        copy = path.with_name("copy.store")
-        shutil.copy(path, copy)
-        connection = sqlite3.connect(copy)
-        connection.execute(statement)
-        connection.commit()
-        connection.close()
-        with Store.read(copy) as reader:
-            error = told(lambda r=reader: (list(r), r.counts()))  # type: ignore[misc]
-        assert message in str(error)
+        store.add([test_of(0), test_of(1)])
+    connection = sqlite3.connect(path)
+    connection.execute(statement)
+    connection.commit()
+    connection.close()
+    errors = [
+        told(lambda: Store.read(path)),
+        told(lambda: Store.resume(path)),
+        told(lambda: Store.create(path, *BOTH, resume=True)),
+    ]
+    for error in errors:
+        assert error.exit_code == 3
+        assert f"the store `{path}`" in str(error)
+        assert "is damaged: " in str(error)
+        assert DAMAGE[statement] in str(error)
+
+
+def test_a_store_of_version_1_that_is_damaged(path: Path) -> None:
+    old_store(path)
+    connection = sqlite3.connect(path)
+    connection.execute("DELETE FROM meta WHERE key = 'domain'")
+    connection.commit()
+    connection.close()
+    for use in (lambda: Store.read(path), lambda: Store.resume(path)):
+        assert "it has no domain that can be read" in str(told(use))
+    assert version(path) == 1
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"state": state("dark")},
+        {"after": frozenset({GroundAtom("worn", ("up",))})},
+        {"action": GroundAction("press", ("up",)), "explanation": None},
+        {"action": GroundAction("pull"), "explanation": None},
+        {"explanation": replace(DARK, rule="gone")},
+        {"explanation": replace(DARK, weights=(5.0, -4.0, 0.0))},
+        {"explanation": replace(DARK, values=())},
+    ],
+)
+def test_what_could_not_be_read_back_is_not_written(
+    store: Store, changes: dict[str, object]
+) -> None:
+    with pytest.raises(ValueError, match="no experience"):
+        store.add([test_of(0), test_of(1, **changes)])
+    assert len(store) == 0
 
 
 def test_the_columns_are_as_documented(store: Store, path: Path) -> None:

@@ -63,7 +63,10 @@ def _share(_context: click.Context, _parameter: click.Parameter, value: float) -
     help="Where monte-carlo starts; the same seed gives the same answer.",
 )  # fmt: skip
 @json_option
+@click.pass_context
 def command(
+    ctx: click.Context,
+    /,
     counts: tuple[float, ...],
     epsilon: float,
     method: Method,
@@ -76,6 +79,12 @@ def command(
     Give how often each outcome was seen. The error of each outcome's frequency is at most the number
     printed, with probability 1 - epsilon.
     """
+    if method != "monte-carlo":
+        for name in ("samples", "seed"):
+            if ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
+                raise click.UsageError(
+                    f"--{name} goes with --method monte-carlo only; {method} draws nothing"
+                )
     import numpy as np
 
     from menid_plan.learning.confidence import delta

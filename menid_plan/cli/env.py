@@ -145,6 +145,7 @@ def check_environments(
     Exits with 1 if something is wrong with one.
     """
     from menid_plan.environments.check import check
+    from menid_plan.environments.printing import prints_to_stderr
     from menid_plan.environments.runfile import read_run_file
 
     domain, problem = load_both(files)
@@ -153,9 +154,10 @@ def check_environments(
     for name in names:
         if name not in known:
             raise click.UsageError(f"`{run_file}` has no environment `{name}`: {', '.join(known)}")
-    reports = [
-        check(known[name], executions, seed, states) for name in dict.fromkeys(names or known)
-    ]
+    with prints_to_stderr():
+        reports = [
+            check(known[name], executions, seed, states) for name in dict.fromkeys(names or known)
+        ]
     if as_json:
         click.echo(json.dumps({"environments": [_as_json(r) for r in reports]}, indent=2))
     else:

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import json
 import sys
+from array import array
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from menid_plan.cli.common import existing_file, json_option, load_both, print_plain, table
+from menid_plan.cli.common import (
+    distinct_outputs,
+    existing_file,
+    json_option,
+    load_both,
+    print_plain,
+    table,
+)
 from menid_plan.files import replacing
 
 if TYPE_CHECKING:
@@ -19,7 +27,7 @@ if TYPE_CHECKING:
 
 
 @click.command("experiences", short_help="Show, export or import the experiences of a store.")
-@click.argument("path", metavar="STORE", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("path", metavar="STORE", type=click.Path(path_type=Path))
 @click.argument("problem_file", metavar="", required=False, type=existing_file)
 @click.option(
     "--export", "target", metavar="FILE.jsonl", type=click.Path(dir_okay=False, allow_dash=True),
@@ -44,8 +52,8 @@ def command(
 ) -> None:
     """Show what is in a store of experiences, by environment and by rule.
 
-    With --export, write it as JSON lines, one for each experience; with --import, add what such lines
-    say. Lines that the store has already are left out.
+    STORE is a file, or the folder of a run. With --export, write it as JSON lines, one for each
+    experience; with --import, add what such lines say. Lines that the store has already are left out.
     """
     from menid_plan.experience.store import Store
 
@@ -57,9 +65,13 @@ def command(
         )
     if domain_file is not None and origin is None:
         raise click.UsageError("--domain goes with --import only")
+    path = store_in(path)
     if origin is not None:
+        read = [name for name in (origin, domain_file, problem_file) if name]
+        distinct_outputs(read, *(Path(name) for name in files_of(path)[:1]))
         _import(path, origin, [f for f in (domain_file, problem_file) if f], as_json=as_json)
         return
+    distinct_outputs(files_of(path), Path(target) if target not in (None, "-") else None)
     with Store.read(path) as store:
         if target is not None:
             _export(store, target)
@@ -69,9 +81,25 @@ def command(
             _show(_summary(store))
 
 
+def store_in(path: Path) -> Path:
+    """The store that a path leads to: itself, or where it is the folder of a run the store there."""
+    if not path.is_dir():
+        return path
+    from menid_plan.learning.run import STORE
+
+    return path / STORE
+
+
+def files_of(store: Path) -> list[str]:
+    """The files that make up a store while it is used, first the store; also where a link leads."""
+    places = dict.fromkeys((store, store.resolve()))
+    endings = ("", "-wal", "-shm", "-journal", ".lock")
+    return [str(place.with_name(place.name + ending)) for place in places for ending in endings]
+
+
 def _import(path: Path, origin: str, files: list[str], *, as_json: bool) -> None:
     from menid_plan.experience.lines import read_lines
-    from menid_plan.experience.store import Store
+    from menid_plan.experience.store import AlreadyThereError, Store, StoreInputError
 
     if not files and not path.exists():
         raise click.UsageError(
@@ -79,26 +107,33 @@ def _import(path: Path, origin: str, files: list[str], *, as_json: bool) -> None
         )
     fresh = not path.exists()
     name = "standard input" if origin == "-" else origin
-    seen = 0
+    numbers = array("Q")  # of the lines with an experience
 
     def counted(lines: Iterable[bytes]) -> Iterable[bytes]:
-        nonlocal seen
-        for line in lines:
-            seen += bool(line.strip())
+        for number, line in enumerate(lines, start=1):
+            if line.strip():
+                numbers.append(number)
             yield line
 
     with click.open_file(origin, "rb") as stream:
         given = load_both(files) if files else None
-        store = Store.create(path, *given, resume=True) if given else Store.resume(path)
+        make = given is not None and (not path.exists() or path.stat().st_size == 0)
+        store = Store.create(path, *given) if given and make else Store.resume(path)
         try:
             with store:
+                if given is not None:
+                    store.must_suit(*given)
                 before = len(store)
                 fresh = fresh and before == 0
                 new = store.add(read_lines(counted(stream), store.domain, store.problem, name))
+        except AlreadyThereError as error:
+            line = f"`{name}`, line {numbers[error.index]}"
+            raise StoreInputError(f"{line}: {error} (or a line before has)") from error
         except BaseException:
             if fresh:
                 _remove(path)
             raise
+    seen = len(numbers)
     if as_json:
         result = {"imported": new, "there_already": seen - new, "executions": before + new}
         click.echo(json.dumps(result, indent=2))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
+import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
@@ -42,7 +44,7 @@ if TYPE_CHECKING:
 @click.option("--steps", type=click.IntRange(0), help="End after so many executions in the target.")
 @click.option("--episodes", type=click.IntRange(0), help="End after so many episodes.")
 @click.option("--hours", type=click.FloatRange(0), help="End after so many hours of the clock.")
-@click.option("--workers", type=click.IntRange(0), metavar="N",
+@click.option("--workers", type=click.IntRange(0, 1024), metavar="N",
               help="Worker processes; 0 executes everything in this one.")  # fmt: skip
 @json_option
 @click.pass_context
@@ -66,6 +68,7 @@ def command(
     a run that was killed, and nothing is executed twice.
     """
     domain, problem = load_both(files)
+    from menid_plan.environments.printing import prints_to_stderr
     from menid_plan.environments.runfile import RunFileError, read_run_file
     from menid_plan.environments.settings import SettingError
     from menid_plan.learning.run import Run
@@ -81,20 +84,24 @@ def command(
         given["estimator_options"] = {**learn.estimator_options, "m": m}
     table = read.workers if workers is None else replace(read.workers, number=workers)
     view = _View()
-    try:
-        run = Run(
-            output, read.bind(domain, problem, settings), replace(learn, **given), table,
-            params=settings, resume=resume, watch=view.point, reported=view.reported,
-        )  # fmt: skip
-    except SettingError as error:
-        key = error.key if error.key.startswith("learn") else f"learn.{error.key}"
-        raise RunFileError(run_file, [f"{key}: {error.message}"]) from error
     interrupted = False
-    try:
-        with view.shown(run):
-            run.learn()
-    except KeyboardInterrupt:
-        interrupted = True
+    with _terminated_as_interrupted(), prints_to_stderr():
+        try:
+            run = Run(
+                output, read.bind(domain, problem, settings), replace(learn, **given), table,
+                params=settings, resume=resume, watch=view.point, underway=view.point,
+                reported=view.reported,
+            )  # fmt: skip
+        except SettingError as error:
+            if error.file:
+                raise
+            key = error.key if error.key.startswith("learn") else f"learn.{error.key}"
+            raise RunFileError(run_file, [f"{key}: {error.message}"]) from error
+        try:
+            with view.shown(run):
+                run.learn()
+        except KeyboardInterrupt:
+            interrupted = True
     if as_json:
         click.echo(json.dumps(_result(run), indent=2))
     else:
@@ -104,10 +111,27 @@ def command(
         ctx.exit(6)
 
 
+@contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    """Have SIGTERM end a run as Ctrl-C does, with what was learned written."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 def _result(run: Run) -> dict[str, Any]:
     """What came of a run, for JSON."""
     progress = run.loop.progress
-    action, value = run.planner.best()
+    action, value, goal = run.best()
     return {
         "seconds": run.loop.clock.seconds,
         "reward": progress.reward,
@@ -127,6 +151,7 @@ def _result(run: Run) -> dict[str, Any]:
         "action": None if action is None else str(action),
         "value": value,
         "objective": run.planner.objective,
+        "goal_probability": goal,
     }
 
 
@@ -146,9 +171,13 @@ def _show(result: dict[str, Any], run: Run) -> None:
         )
     if result["unexplained"]:
         click.echo(f"  {_counted(result['unexplained'], 'execution')} that no rule explains")
+    goal = ""
+    # The reward of what reaches the goal as often as can be says little where that is not for sure.
+    if result["objective"] == "goal-then-reward" and result["goal_probability"] is not None:
+        goal = f", goal probability {result['goal_probability']:.6g}"
     click.echo(
         f"best first action by what was learned: {result['action'] or 'none'}, "
-        f"{result['objective']} {result['value']:.6g}"
+        f"{result['objective']} {result['value']:.6g}{goal}"
     )
     click.echo(f"wrote {run.folder / 'learned.menid'}")
 
@@ -164,12 +193,19 @@ def _clock(seconds: float) -> str:
     return f"{hours}:{minutes:02}:{rest:02}"
 
 
+def _which(run: Run) -> str:
+    """Which clock it is, where that is not the one on the wall."""
+    return " on the virtual clock" if run.settings.clock == "virtual" else ""
+
+
 class _View:
     """Tells how a run goes: a table that is drawn anew on a terminal, else a line now and then."""
 
     # Seconds from one line to the next.
     EVERY = 5.0
     LEAST_SURE = 5
+    # On a terminal of fewer columns than that, some of the table's are left out.
+    WIDE = 60
     # Failures that are told; the rest is in events.jsonl.
     FAILURES = 10
 
@@ -214,7 +250,7 @@ class _View:
             return
         if self._live is not None:
             self._next = now + 0.2
-            self._live.update(self._table(self._run, point), refresh=True)
+            self._live.update(self._table(self._run, point, self._live.console.width), refresh=True)
             return
         self._next = now + self.EVERY
         executions = self._run.loop.progress.executions
@@ -222,12 +258,13 @@ class _View:
             f"{spec.name} {executions[spec.name]}" for spec in self._run.bound.environments
         )
         click.echo(
-            f"{_clock(point.seconds)}: reward {point.reward:.6g}, {_counted(point.steps, 'step')}, "
-            f"{_counted(point.episodes, 'episode')}; executions: {done}",
+            f"{_clock(point.seconds)}{_which(self._run)}: reward {point.reward:.6g}, "
+            f"{_counted(point.steps, 'step')}, {_counted(point.episodes, 'episode')}; "
+            f"executions: {done}",
             err=True,
         )
 
-    def _table(self, run: Run, point: Point) -> Any:
+    def _table(self, run: Run, point: Point, width: int) -> Any:
         from rich.console import Group
         from rich.table import Table
         from rich.text import Text
@@ -235,16 +272,31 @@ class _View:
         progress = run.loop.progress
         again = "" if run.loop.executions.replay.over else "  (going through what was done before)"
         head = (
-            f"{_clock(point.seconds)}  reward {point.reward:.6g}  {_counted(point.steps, 'step')}  "
+            f"{_clock(point.seconds)}{_which(run)}  reward {point.reward:.6g}  "
+            f"{_counted(point.steps, 'step')}  "
             f"{_counted(point.episodes, 'episode')}{again}"
         )
-        where = Table("environment", "role", "executions", "time", "failed", box=None)
-        for spec in run.bound.environments:
-            where.add_row(
-                spec.name, spec.role, str(progress.executions[spec.name]),
-                _clock(progress.spent.get(spec.name, 0.0)), str(run.failed.get(spec.name, 0)),
-            )  # fmt: skip
-        unsure = Table("least sure in the target", "delta", box=None)
+        columns = {
+            "environment": [spec.name for spec in run.bound.environments],
+            "role": [spec.role for spec in run.bound.environments],
+            "executions": [str(progress.executions[s.name]) for s in run.bound.environments],
+            "time": [_clock(progress.spent.get(s.name, 0.0)) for s in run.bound.environments],
+            "failed": [str(run.failed.get(spec.name, 0)) for spec in run.bound.environments],
+        }
+        if width < self.WIDE:
+            del columns["role"]
+            if not any(run.failed.values()):
+                del columns["failed"]
+            if width < self.WIDE * 3 // 4:
+                columns["done"] = columns.pop("executions")
+        where = Table(box=None)
+        for name in columns:
+            where.add_column(name, overflow="fold", no_wrap=name != "environment")
+        for row in zip(*columns.values(), strict=True):
+            where.add_row(*row)
+        unsure = Table(box=None)
+        unsure.add_column("least sure in the target", overflow="fold")
+        unsure.add_column("delta", no_wrap=True)
         for key, error in run.loop.least_sure(self.LEAST_SURE):
             unsure.add_row(Text(str(key)), f"{error:.3f}")
         return Group(Text(head), where, unsure)

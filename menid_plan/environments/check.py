@@ -14,6 +14,7 @@ from menid_plan.environments.interface import (
     Capabilities,
     EnvironmentFailedError,
     Execution,
+    NotRecordedError,
 )
 from menid_plan.environments.registry import EnvironmentSpec
 from menid_plan.environments.session import Session
@@ -104,6 +105,7 @@ class _Check:
         self.findings: list[Finding] = []
         self.faults: dict[str, list[str]] = {}
         self.tallies: dict[str, Tally] = {}
+        self.absent: dict[str, None] = {}
         self.visited: dict[State, None] = {}
         self.capabilities: Capabilities | None = None
 
@@ -124,7 +126,11 @@ class _Check:
         declared = [action.name for action in self.spec.domain.actions]
         return Report(
             self.spec.name, self.spec.kind.name, self.capabilities, tuple(self.findings),
-            tuple(self.tallies[name] for name in declared if name in self.tallies),
+            tuple(
+                self.tallies[name]
+                for name in declared
+                if name in self.tallies and self.tallies[name].executions
+            ),
             len(self.visited),
         )  # fmt: skip
 
@@ -134,8 +140,8 @@ class _Check:
         else:
             self.findings.append(Finding(about, "pass", (passed,) if passed else ()))
 
-    def _skip(self, about: str, why: str) -> None:
-        self.findings.append(Finding(about, "skip", (why,)))
+    def _skip(self, about: str, *why: str) -> None:
+        self.findings.append(Finding(about, "skip", why))
 
     # ------------------------------------------------------------------------------------ in use
 
@@ -155,6 +161,12 @@ class _Check:
             "`state()` is the state that the execution ended in",
         ):  # fmt: skip
             self._find(about, *self.faults.get(about, ()), passed=f"{total} executions")
+        if self.absent:
+            more = len(self.absent) - MAX_FAULTS
+            self._skip(
+                "everything was recorded", *list(self.absent)[:MAX_FAULTS],
+                *([f"and {more} more"] if more > 0 else ()),
+            )  # fmt: skip
         self._repeats(session, tried)
 
     def _first_state(self, session: Session) -> State | None:
@@ -230,6 +242,10 @@ class _Check:
         try:
             found = session.execute(action)
             after = session.state()
+        except NotRecordedError:
+            tally.executions -= 1
+            self.absent[f"`{action}` in the state {_short(before)}"] = None
+            return None
         except MenidError as error:
             tally.failures += 1
             self._fault("its actions can be executed", str(error))

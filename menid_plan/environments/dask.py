@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import pickle
 import threading
+import time
 import uuid
 from collections.abc import Mapping
+from concurrent.futures import wait
 from contextlib import suppress
 from typing import Any
 
@@ -16,6 +18,7 @@ from menid_plan.environments.worker import Task, WorkerFailedError
 from menid_plan.errors import MenidError
 
 _PATIENCE = 10.0  # seconds to find the scheduler
+_PERIOD = 0.5  # seconds from one look at whether there are workers to the next
 
 
 class _Kept:
@@ -82,8 +85,12 @@ def _end(pool: str) -> None:
 class Cluster:
     """A connection to a scheduler."""
 
-    def __init__(self, address: str, specs: bytes) -> None:
-        """``specs`` is a pickled mapping from names to EnvironmentSpecs."""
+    def __init__(self, address: str, specs: bytes, patience: float) -> None:
+        """``specs`` is a pickled mapping from names to EnvironmentSpecs.
+
+        Raises EnvironmentFailedError if the scheduler can't be reached, or has no workers for so many
+        seconds; `ask` does as well.
+        """
         try:
             from distributed import Client
         except ImportError as error:
@@ -95,6 +102,16 @@ class Cluster:
             self._client = connect(address, timeout=_PATIENCE, set_as_default=False)
         except (OSError, ValueError) as error:
             raise EnvironmentFailedError(f"the scheduler at {address}: {error}") from error
+        self._address, self._waits = address, patience
+        self._ending = threading.Event()
+        try:
+            self._client.wait_for_workers(1, timeout=patience)
+        except BaseException as error:
+            with suppress(Exception):
+                self._client.close()
+            if isinstance(error, TimeoutError):
+                raise self._no_workers() from error
+            raise
         self._executor = self._client.get_executor(pure=False)
         self._pool = uuid.uuid4().hex
         self._specs = specs
@@ -103,15 +120,42 @@ class Cluster:
         """What a function gives on one of the workers."""
         try:
             future = self._executor.submit(function, self._pool, self._specs, argument)
+            self._wait(future)
             answer = future.result()
+        except EnvironmentFailedError:
+            raise
         except BaseException as error:  # cancelled, worker lost, scheduler gone
             raise WorkerFailedError("crash", f"Dask: {type(error).__name__}: {error}") from error
         if isinstance(answer, MenidError):
             raise answer
         return answer
 
+    def _wait(self, future: Any) -> None:
+        """Wait for a future; Dask itself would wait for workers, and would not be interrupted."""
+        seen = time.monotonic()  # when there were workers
+        patience = self._waits
+        while not wait([future], _PERIOD).done:
+            if self._has_workers():
+                seen = time.monotonic()
+            elif time.monotonic() - seen > patience:
+                future.cancel()
+                raise self._no_workers()
+            if self._ending.is_set():
+                patience = 0.0
+
+    def _has_workers(self) -> bool:
+        with suppress(Exception):
+            return bool(self._client.scheduler_info()["workers"])
+        return False
+
+    def _no_workers(self) -> EnvironmentFailedError:
+        return EnvironmentFailedError(f"the scheduler at {self._address} has no workers")
+
     def interrupt(self) -> None:
         """Kill the processes that the pool has on the workers."""
+        self._ending.set()
+        if not self._has_workers():
+            return
         with suppress(Exception):
             self._client.run(_interrupt, self._pool)
 

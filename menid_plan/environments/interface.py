@@ -73,3 +73,7 @@ class EnvironmentFailedError(MenidError):
 
 class CannotResetError(EnvironmentFailedError):
     """An environment cannot be put into a state."""
+
+
+class NotRecordedError(EnvironmentFailedError):
+    """A record has nothing of an action in a state: there it can't say what happens."""

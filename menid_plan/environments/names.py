@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from menid_plan.environments.session import said
 from menid_plan.environments.settings import SettingError
 
 
@@ -28,8 +29,8 @@ def named(text: str, key: str, folder: Path) -> Any:
             found = importlib.import_module(module_name)
         for part in attribute.split("."):
             found = getattr(found, part)
-    except Exception as error:  # whatever a module does when it is imported
-        raise SettingError(key, f"`{text}`: {type(error).__name__}: {error}") from error
+    except (Exception, SystemExit) as error:  # whatever a module does when it is imported
+        raise SettingError(key, f"`{text}`: {said(error)}") from error
     return found
 
 
@@ -42,9 +43,14 @@ def _from_file(path: Path) -> Any:
         raise ImportError(f"`{path}` is no Python file")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
+    folder = str(path.parent)
+    sys.path.insert(0, folder)  # as if it were run: it may import what is beside it
     try:
         spec.loader.exec_module(module)
     except BaseException:
         del sys.modules[name]
         raise
+    finally:
+        if folder in sys.path:
+            sys.path.remove(folder)
     return module

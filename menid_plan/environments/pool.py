@@ -23,6 +23,7 @@ from menid_plan.environments.interface import (
     Execution,
 )
 from menid_plan.environments.registry import EnvironmentSpec
+from menid_plan.environments.session import without_name
 from menid_plan.environments.worker import Runner, Task, Trouble, Worker, WorkerFailedError
 from menid_plan.grounding.state import GroundAction, State
 
@@ -144,7 +145,7 @@ class LocalLane:
             self.build(spec)
         assert self._worker is not None
         try:
-            return self._worker.run(task, _limit(spec))
+            return self._worker.run(task, spec.timeout, _GRACE)
         except WorkerFailedError:
             self._lost()
             raise
@@ -169,9 +170,11 @@ class LocalLane:
             self._lost()
 
 
-def _limit(spec: EnvironmentSpec) -> float | None:
-    # An environment that watches the time itself gets to say so, and to end its own processes.
-    return None if spec.timeout is None else spec.timeout + 1.0
+# Seconds that a scheduler may be without workers where no environment says how long it may start.
+_PATIENCE = 60.0
+
+# An environment that watches the time itself gets to say so, and to end its own processes.
+_GRACE = 1.0
 
 
 class Pool:
@@ -205,7 +208,10 @@ class Pool:
         if scheduler:
             from menid_plan.environments.dask import Cluster, DaskLane
 
-            self._cluster = Cluster(scheduler, pickle.dumps(self._specs))
+            patience = max(
+                (s.start_timeout or _PATIENCE for s in self._specs.values()), default=0.0
+            )
+            self._cluster = Cluster(scheduler, pickle.dumps(self._specs), patience)
             self._lanes = [DaskLane(self._cluster) for _ in range(max(1, workers))]
         elif workers:
             data = pickle.dumps(self._specs)
@@ -344,8 +350,9 @@ class Pool:
                     raise CancelledError from error
                 trouble = error.trouble if isinstance(error, WorkerFailedError) else "error"
                 attempt = len(failures) + 1
+                message = without_name(str(error), spec.name)
                 failures.append(
-                    Failure(spec.name, task.action, future.number, attempt, trouble, str(error))
+                    Failure(spec.name, task.action, future.number, attempt, trouble, message)
                 )
                 self._note(failures[-1])
         self._add(spec.name, given_up=1)

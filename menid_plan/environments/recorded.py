@@ -11,7 +11,12 @@ from typing import ClassVar
 import numpy as np
 
 from menid_plan.environments.atoms import Vocabulary
-from menid_plan.environments.interface import Capabilities, EnvironmentFailedError, Execution
+from menid_plan.environments.interface import (
+    Capabilities,
+    EnvironmentFailedError,
+    Execution,
+    NotRecordedError,
+)
 from menid_plan.environments.registry import Place
 from menid_plan.environments.settings import SettingError
 from menid_plan.errors import MeaningError
@@ -19,6 +24,9 @@ from menid_plan.experience.store import Store
 from menid_plan.grounding.state import GroundAction, State, state_text
 
 _Bank = dict[tuple[State, GroundAction], list[Execution]]
+
+# The store in the folder of a run.
+_STORE = "experiences.sqlite"
 
 # A line of a bank in JSON longer than this is refused.
 _MAX_LINE = 16 * 2**20
@@ -28,7 +36,8 @@ _MAX_LINE = 16 * 2**20
 class Recorded:
     """Draws, with equal chances, one of the experiences of this action in this very state.
 
-    ``store`` is a file of experiences, or one that ends in ``.jsonl`` with an experience on each line:
+    ``store`` is a file of experiences, the folder of a run, or a file that ends in ``.jsonl`` with an
+    experience on each line:
     an object with ``state`` and ``after`` (lists of atoms), ``action``, and perhaps ``reward``,
     ``duration`` in seconds and ``environment``. ``environment`` says whose experiences count, by
     default those of the same name. An action in a state that was never seen is a failure.
@@ -44,6 +53,8 @@ class Recorded:
     def build(self, place: Place) -> RecordedEnvironment:
         """Read the bank; SettingError if there is no such file, or nothing of use in it."""
         path = place.folder / self.store
+        if path.is_dir():
+            path = path / _STORE
         environment = self.environment or place.name
         if not path.is_file():
             raise SettingError("store", f"there is no file `{path}`")
@@ -135,7 +146,7 @@ class RecordedEnvironment:
             raise EnvironmentFailedError("it was not reset")
         seen = self._bank.get((self._state, action))
         if seen is None:
-            raise EnvironmentFailedError(
+            raise NotRecordedError(
                 f"nothing was recorded of `{action}` in the state {state_text(self._state)}"
             )
         drawn = seen[int(self._rng.integers(len(seen)))]

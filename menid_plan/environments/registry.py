@@ -8,8 +8,8 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import ClassVar, Protocol
 
-from menid_plan.environments.interface import Environment
-from menid_plan.environments.session import Session
+from menid_plan.environments.interface import Environment, EnvironmentFailedError
+from menid_plan.environments.session import Session, said
 from menid_plan.environments.settings import SettingError, read_settings
 from menid_plan.environments.settings import unknown as unknown_name
 from menid_plan.errors import MenidError
@@ -68,7 +68,8 @@ class EnvironmentSpec:
     ``duration`` is nominal, in seconds, for every action or by the names of some; where there is none
     it is what the environment says, else what is measured. ``timeout`` (of an execution) and
     ``start_timeout`` are in seconds. ``retries``: how often an execution that failed is tried again.
-    ``workers``: how many copies may run at once; None for as many as there are workers.
+    ``workers``: how many copies may run at once; None for as many as there are workers. ``file`` is the
+    run file, for messages.
     """
 
     name: str
@@ -83,6 +84,7 @@ class EnvironmentSpec:
     start_timeout: float | None = 60.0
     retries: int = 2
     workers: int | None = None
+    file: str = ""
 
     @property
     def place(self) -> Place:
@@ -101,15 +103,22 @@ class EnvironmentSpec:
     def open(self) -> Session:
         """Build the environment, as a session that checks it and gives durations.
 
-        Raises SettingError that names the key from the top of the run file, or
-        EnvironmentFailedError.
+        Raises SettingError that names the run file and the key from its top, or
+        EnvironmentFailedError that names the environment.
         """
         try:
             environment = self.kind.build(self.place)
         except SettingError as error:
             raise SettingError(
-                f"environment.{self.name}.settings.{error.key}".rstrip("."), error.message
-            ) from error
+                f"environment.{self.name}.settings.{error.key}".rstrip("."), error.message,
+                self.file,
+            ) from error  # fmt: skip
+        except EnvironmentFailedError as error:
+            raise type(error)(f"environment `{self.name}`: {error}") from error
+        except MenidError:
+            raise
+        except (Exception, SystemExit) as error:  # whatever a simulator does when it starts
+            raise EnvironmentFailedError(f"environment `{self.name}`: {said(error)}") from error
         return Session(environment, self.domain, self.problem, self.name, self.nominal)
 
 

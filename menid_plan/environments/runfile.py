@@ -16,12 +16,19 @@ from menid_plan.environments.registry import (
     UnknownKindError,
     load_kind,
 )
-from menid_plan.environments.settings import check_range, read_settings, unknown
+from menid_plan.environments.session import MAX_DURATION
+from menid_plan.environments.settings import SettingError, check_range, read_settings, unknown
 from menid_plan.errors import MenidError
 from menid_plan.model.domain import Domain, Problem
 
 # A run file larger than this is refused.
 MAX_BYTES = 2**20
+
+# Each is a process of its own.
+MAX_WORKERS = 1024
+
+# An address of a Dask scheduler.
+_ADDRESS = re.compile(r"[a-z]+://[^\s/]\S*|[^\s:/]+:\d{1,5}|\[[0-9a-fA-F:]+\]:\d{1,5}")
 
 # Sections that others read; a reader that does not know one passes over it.
 OTHERS = ("learn",)
@@ -62,9 +69,9 @@ class EnvironmentTable:
     settings: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        check_range(self, "duration")
-        check_range(self, "timeout", above=True)
-        check_range(self, "start_timeout", above=True)
+        check_range(self, "duration", most=MAX_DURATION)
+        check_range(self, "timeout", above=True, most=MAX_DURATION)
+        check_range(self, "start_timeout", above=True, most=MAX_DURATION)
         check_range(self, "retries")
         check_range(self, "workers", least=1)
 
@@ -81,7 +88,12 @@ class WorkersTable:
     scheduler: str = ""
 
     def __post_init__(self) -> None:
-        check_range(self, "number")
+        check_range(self, "number", most=MAX_WORKERS)
+        if self.scheduler and not _ADDRESS.fullmatch(self.scheduler):
+            raise SettingError(
+                "scheduler",
+                f"expected an address such as tcp://HOST:8786, not `{self.scheduler[:80]}`",
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +155,7 @@ class RunFile:
             EnvironmentSpec(
                 name, self.kinds[name], domain, problem, roles[name] or "test", dict(params),
                 self.path.parent, t.duration, t.timeout, t.start_timeout, t.retries, t.workers,
+                str(self.path),
             )
             for name, t in self.environments.items()
         ]  # fmt: skip

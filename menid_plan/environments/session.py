@@ -21,6 +21,9 @@ from menid_plan.model.domain import Domain, Problem
 
 T = TypeVar("T")
 
+# Seconds that an execution may be said to take: 30 years.
+MAX_DURATION = 1e9
+
 
 class Session:
     """An environment around another one that keeps it to the protocol.
@@ -72,8 +75,10 @@ class Session:
         reward, duration = found.reward, found.duration
         if reward is not None and not math.isfinite(reward):
             raise EnvironmentFailedError(f"{self._where(action)}: the reward is {reward}")
-        if duration is not None and not (math.isfinite(duration) and duration >= 0):
-            raise EnvironmentFailedError(f"{self._where(action)}: the duration is {duration} s")
+        if duration is not None and not 0 <= duration <= MAX_DURATION:
+            raise EnvironmentFailedError(
+                f"{self._where(action)}: the duration is {duration} s, not from 0 to {MAX_DURATION:g}"
+            )
         nominal = self._nominal(action.action)
         if nominal is not None:
             duration = nominal
@@ -110,7 +115,17 @@ class Session:
             raise type(error)(f"environment `{self.name}`: {error}") from error
         except MenidError:
             raise  # the domain means nothing there, or is too large: trying again is no help
-        except Exception as error:
-            raise EnvironmentFailedError(
-                f"environment `{self.name}`: {type(error).__name__}: {error}"
-            ) from error
+        except (Exception, SystemExit) as error:
+            raise EnvironmentFailedError(f"environment `{self.name}`: {said(error)}") from error
+
+
+def said(error: BaseException) -> str:
+    """An exception in words; what calls sys.exit ends an execution and nothing else."""
+    if isinstance(error, SystemExit):
+        return f"it called sys.exit({'' if error.code is None else repr(error.code)})"
+    return f"{type(error).__name__}: {error}"
+
+
+def without_name(message: str, environment: str) -> str:
+    """A message of an environment for where its name stands already."""
+    return message.removeprefix(f"environment `{environment}`: ")

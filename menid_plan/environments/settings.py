@@ -22,18 +22,21 @@ _PLURALS = {float: "numbers", int: "whole numbers", str: "texts"}
 class SettingError(MenidError):
     """A setting has a value that does not do. ``key`` is its name; empty where there is no such one.
 
+    ``file`` is where it stands, if that is known.
+
     Settings raise it from their ``__post_init__``, or where they meet the domain.
     """
 
     exit_code = 3
 
-    def __init__(self, key: str, message: str) -> None:
-        super().__init__(key, message)
+    def __init__(self, key: str, message: str, file: str = "") -> None:
+        super().__init__(key, message, file)
         self.key = key
         self.message = message
+        self.file = file
 
     def __str__(self) -> str:
-        return f"{self.key}: {self.message}" if self.key else self.message
+        return ": ".join(part for part in (self.file, self.key, self.message) if part)
 
 
 def read_settings(
@@ -81,19 +84,28 @@ def check_range(
     key: str,
     *,
     least: float = 0.0,
+    most: float = math.inf,
     above: bool = False,
 ) -> None:
     """Raise SettingError unless a setting (or each entry of a table) is at least, or above, a number.
 
-    None is let through.
+    It must be finite, and ``most`` at the most. None is let through.
     """
     value = getattr(settings, key)
     entries = value.items() if isinstance(value, Mapping) else [("", value)]
     for name, number in entries:
-        if number is not None and (number < least or (above and number == least)):
+        if number is None:
+            continue
+        if isinstance(number, float) and not math.isfinite(number):
+            asked = "a finite number"
+        elif number < least or (above and number == least):
             asked = f"more than {least:g}" if above else f"at least {least:g}"
-            where = f"{key}.{name}" if name else key
-            raise SettingError(where, f"expected {asked}, not {number:g}")
+        elif number > most:
+            asked = f"at most {most:g}"
+        else:
+            continue
+        where = f"{key}.{name}" if name else key
+        raise SettingError(where, f"expected {asked}, not {number:.6g}")
 
 
 def _read(value: object, hint: Any, where: str, faults: list[str]) -> Any:

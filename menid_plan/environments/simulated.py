@@ -11,6 +11,7 @@ import numpy as np
 from menid_plan.environments.interface import Capabilities, EnvironmentFailedError, Execution
 from menid_plan.environments.registry import Place
 from menid_plan.environments.sampling import Sampler
+from menid_plan.environments.session import MAX_DURATION
 from menid_plan.environments.settings import SettingError, check_range, unknown
 from menid_plan.grounding.semantics import Semantics
 from menid_plan.grounding.state import SINK, GroundAction, State
@@ -35,7 +36,7 @@ class Simulated:
     duration: float | Mapping[str, float] = 1.0
 
     def __post_init__(self) -> None:
-        check_range(self, "duration")
+        check_range(self, "duration", most=MAX_DURATION)
 
     def build(self, place: Place) -> SimulatedEnvironment:
         """Build it; SettingError for a column, param or action that the domain does not have."""

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import IO, Literal, TypeAlias
@@ -27,7 +28,7 @@ from menid_plan.environments.interface import (
 )
 from menid_plan.environments.orphans import die_with_parent
 from menid_plan.environments.registry import EnvironmentSpec
-from menid_plan.environments.session import Session
+from menid_plan.environments.session import Session, said
 from menid_plan.errors import MenidError
 from menid_plan.grounding.state import GroundAction, State
 
@@ -84,7 +85,7 @@ class Runner:
             raise
         except EnvironmentFailedError:
             del self._sessions[task.environment]
-            with contextlib.suppress(Exception):
+            with contextlib.suppress(Exception, SystemExit):
                 session.close()
             raise
 
@@ -92,7 +93,7 @@ class Runner:
         """Close all environments."""
         while self._sessions:
             _, session = self._sessions.popitem()
-            with contextlib.suppress(Exception):  # nothing depends on it any more
+            with contextlib.suppress(Exception, SystemExit):  # nothing depends on it any more
                 session.close()
 
 
@@ -153,17 +154,19 @@ class Worker:
         assert isinstance(answer, Capabilities)
         return answer
 
-    def run(self, task: Task, timeout: float | None) -> Execution:
-        """Execute; ``timeout`` is in seconds.
+    def run(self, task: Task, timeout: float | None, grace: float = 0.0) -> Execution:
+        """Execute; ``timeout`` is in seconds, of which so many more are let pass as ``grace`` says.
 
         Raises EnvironmentFailedError (WorkerFailedError if the process ended), or WrongTaskError.
         """
-        answer = self._ask(task, timeout, f"executing `{task.action}`")
+        answer = self._ask(task, timeout, f"executing `{task.action}`", grace)
         assert isinstance(answer, Execution)
         return answer
 
-    def _ask(self, request: object, timeout: float | None, doing: str) -> object:
-        _watch.begin(self, timeout)
+    def _ask(
+        self, request: object, timeout: float | None, doing: str, grace: float = 0.0
+    ) -> object:
+        _watch.begin(self, None if timeout is None else timeout + grace)
         try:
             self._send(pickle.dumps(request))
             assert self._process.stdout is not None
@@ -305,8 +308,8 @@ def _answer(runner: Runner, request: object) -> object:
         return "failed", str(error), error.exit_code
     except MenidError as error:
         return "wrong", str(error), error.exit_code
-    except Exception as error:  # a kind of environment that fails in its own way
-        return "failed", f"{type(error).__name__}: {error}", 5
+    except (Exception, SystemExit) as error:  # a kind of environment that fails in its own way
+        return "failed", said(error), 5
 
 
 def main() -> None:
@@ -324,13 +327,19 @@ def main() -> None:
         os._exit(1)  # the caller is gone, and with it the reason for whatever runs here
 
     threading.Thread(target=listen, daemon=True).start()
-    runner = Runner(pickle.loads(requests.get()))  # noqa: S301
-    while True:
-        request = pickle.loads(requests.get())  # noqa: S301
-        if request is None:
-            runner.close()
+    try:
+        runner = Runner(pickle.loads(requests.get()))  # noqa: S301
+        while True:
+            request = pickle.loads(requests.get())  # noqa: S301
+            if request is None:
+                runner.close()
+                answers.flush()
+                os._exit(0)
+            data = pickle.dumps(_answer(runner, request))
+            answers.write(len(data).to_bytes(8, "little") + data)
             answers.flush()
-            os._exit(0)
-        data = pickle.dumps(_answer(runner, request))
-        answers.write(len(data).to_bytes(8, "little") + data)
-        answers.flush()
+    except BaseException:
+        # Python can't end by itself in a proper way: a thread is reading standard input.
+        traceback.print_exc()
+        sys.stderr.flush()
+        os._exit(1)

@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterable
 
 from menid_plan.experience.record import Explanation
-from menid_plan.experience.schema import StoreInputError
 from menid_plan.grounding.state import GroundAction, State
 from menid_plan.model.formulas import GroundAtom
 
@@ -22,21 +21,21 @@ def atoms_column(state: Iterable[GroundAtom]) -> str:
 
 
 def state_of(column: str) -> State:
-    """The state of a column of atoms."""
+    """The state of a column of atoms; ValueError if it is none."""
     atoms = [
         GroundAtom(name, tuple(arguments.split(", ")) if arguments else ())
         for name, arguments in _ATOM.findall(column)
     ]
     if atoms_column(atoms) != column:
-        raise StoreInputError(f"the store is damaged: `{column}` is no list of atoms")
+        raise ValueError(f"`{column}` is no list of atoms")
     return frozenset(atoms)
 
 
 def action_of(column: str) -> GroundAction:
-    """The ground action of a column, which has its text: ``lever(n1)``."""
+    """The ground action of a column, which has its text: ``lever(n1)``; ValueError if it is none."""
     found = list(state_of(column))
     if len(found) != 1:
-        raise StoreInputError(f"the store is damaged: `{column}` is no action")
+        raise ValueError(f"`{column}` is no action")
     return GroundAction(*found[0])
 
 
@@ -48,8 +47,14 @@ def explanation_columns(action: str, explanation: Explanation) -> tuple[str, ...
 
 
 def explanation_of(rule: str, per: str, weights: str) -> Explanation:
-    """The explanation of some columns."""
-    return Explanation(rule, tuple(json.loads(per)), tuple(json.loads(weights)))
+    """The explanation of some columns; ValueError if they are none."""
+    try:
+        values, shares = json.loads(per), json.loads(weights)
+    except (ValueError, RecursionError):
+        raise ValueError("its values or weights are no JSON") from None
+    if not isinstance(values, list) or not isinstance(shares, list):
+        raise ValueError("its values or weights are no list")
+    return Explanation(rule, tuple(values), tuple(shares))
 
 
 def seed_column(seed: int) -> int | str:

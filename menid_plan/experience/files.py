@@ -28,6 +28,12 @@ def guarded(path: Path, doing: str) -> Iterator[None]:
         code = getattr(error, "sqlite_errorname", "")
         if code.startswith("SQLITE_NOTADB"):
             raise StoreInputError(f"`{path}` is no store of experiences") from error
+        if code == "SQLITE_ERROR" or "decode to UTF-8" in str(
+            error
+        ):  # tables are not ours any more
+            raise StoreInputError(
+                f"cannot {doing} the store `{path}`, which is damaged: {error}"
+            ) from error
         if code.startswith("SQLITE_CORRUPT"):
             raise StoreInputError(f"the store `{path}` is damaged: {error}") from error
         why = next((text for key, text in _MEANINGS.items() if code.startswith(key)), "")

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-import json
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
-from menid_plan.experience import codec, files
-from menid_plan.experience.record import DistributionKey, Experience, Explanation
-from menid_plan.experience.schema import StoreInputError
+from menid_plan.experience import files
+from menid_plan.experience.record import DistributionKey, Experience
+from menid_plan.experience.rows import (
+    Explained,
+    Rows,
+    check_environments,
+    check_rows,
+    columns_of,
+    damaged,
+    read_meta,
+)
 from menid_plan.experience.summary import Totals, add_up_counts, add_up_totals
 from menid_plan.grounding.recent import Recent, Value
 from menid_plan.grounding.state import GroundAction, State
-from menid_plan.language.files import parse_text
 from menid_plan.model.domain import Domain, Problem
 
 _SELECT = (
@@ -28,7 +33,6 @@ _SELECT = (
 _CHUNK = 5000
 
 _Row: TypeAlias = tuple[Any, ...]
-_Explained: TypeAlias = tuple[DistributionKey, Explanation]
 
 
 class _Table(Recent[int, Value]):
@@ -46,55 +50,37 @@ class _Table(Recent[int, Value]):
 
 
 class StoreReader:
-    """What can be read of a store, whoever may write to it."""
+    """What can be read of a store, whoever may write to it.
+
+    Every row is looked at when it is opened, so that who reads one table only, and who reads all, are
+    told the same of a store that is damaged.
+    """
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
-        """For internal use: the connection is to a store of the newest version."""
+        """For internal use: the connection is to a store of the newest version.
+
+        ``domain`` and ``problem`` are those of the run, ``settings`` and ``seed`` what it was made
+        with, ``created`` tells when, in UTC, as ISO 8601 has it.
+        """
         self.path: Final = path
         self._connection = connection
-        self._states: _Table[State] = _Table(self._state)
-        self._actions: _Table[GroundAction] = _Table(self._action)
-        self._explanations: _Table[_Explained] = _Table(self._explained)
+        self._states: _Table[State] = _Table(lambda number: self._read("states", number))
+        self._actions: _Table[GroundAction] = _Table(lambda number: self._read("actions", number))
+        self._explanations: _Table[Explained] = _Table(lambda n: self._read("explanations", n))
         with files.guarded(path, "read"):
-            self._meta: dict[str, str] = dict(connection.execute("SELECT key, value FROM meta"))
+            meta = read_meta(path, dict(connection.execute("SELECT key, value FROM meta")))
+            self.domain: Final[Domain] = meta["domain"]
+            self.problem: Final[Problem] = meta["problem"]
+            self.settings: Final[dict[str, Any]] = meta["settings"]
+            self.seed: Final[int | None] = meta["seed"]
+            self.created: Final[str] = meta["created"]
             found = list(connection.execute("SELECT id, name, role FROM environments ORDER BY id"))
+            check_environments(path, found, self.domain)
+            self._rows = Rows(self.domain, self.problem)
+            check_rows(path, connection, self._rows, self._keep)
         self._environments = {name: (number, role == "target") for number, name, role in found}
         self._names: dict[int, str] = {number: name for number, name, _ in found}
         self.roles: Final[dict[str, str]] = {name: role for _, name, role in found}
-
-    # ----------------------------------------------------------------------------------- what it is
-
-    @cached_property
-    def domain(self) -> Domain:
-        """The domain of the run, read from its text."""
-        found = parse_text(self._meta["domain"], name=f"{self.path}: domain").domain
-        assert found is not None
-        return found
-
-    @cached_property
-    def problem(self) -> Problem:
-        """The problem of the run."""
-        text = self._meta["problem"]
-        found = parse_text(text, self.domain, name=f"{self.path}: problem").problem
-        assert found is not None
-        return found
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """The settings that it was made with."""
-        found: dict[str, Any] = json.loads(self._meta["settings"])
-        return found
-
-    @property
-    def seed(self) -> int | None:
-        """The seed of the run."""
-        found: int | None = json.loads(self._meta["seed"])
-        return found
-
-    @property
-    def created(self) -> str:
-        """When it was made, in UTC, as ISO 8601 has it."""
-        return self._meta["created"]
 
     # -------------------------------------------------------------------------------------- reading
 
@@ -158,7 +144,8 @@ class StoreReader:
             try:
                 yield
             except (KeyError, TypeError, ValueError) as error:
-                raise StoreInputError(f"the store `{self.path}` is damaged: {error!r}") from error
+                # Rows were looked at before: somebody has changed them since.
+                raise damaged(self.path, "rows that belong together do not fit") from error
 
     def _experiences(self, query: str) -> Iterator[Experience]:
         last = 0
@@ -182,19 +169,14 @@ class StoreReader:
             None if explanation is None else self._explanations[explanation][1], counter,
         )  # fmt: skip
 
-    def _state(self, number: int) -> State:
-        return codec.state_of(self._row_of("atoms FROM states", number)[0])
+    def _keep(self, table: str, number: int, value: Any) -> None:
+        """Remember a row that was read."""
+        tables: dict[str, _Table[Any]] = {
+            "states": self._states, "actions": self._actions, "explanations": self._explanations,
+        }  # fmt: skip
+        tables[table][number] = value
 
-    def _action(self, number: int) -> GroundAction:
-        return codec.action_of(self._row_of("text FROM actions", number)[0])
-
-    def _explained(self, number: int) -> _Explained:
-        """An explanation, and before it the distribution that it is evidence for."""
-        row = self._row_of("action, rule, per, weights FROM explanations", number)
-        explanation = codec.explanation_of(*row[1:])
-        return DistributionKey(row[0], explanation.rule, explanation.values), explanation
-
-    def _row_of(self, columns: str, number: int) -> _Row:
-        query = f"SELECT {columns} WHERE id = ?"
-        found: _Row = self._connection.execute(query, (number,)).fetchone()
-        return found
+    def _read(self, table: str, number: int) -> Any:
+        query = f"SELECT {columns_of(table)} FROM {table} WHERE id = ?"  # noqa: S608 - own names
+        cells = self._connection.execute(query, (number,)).fetchone()
+        return self._rows.read(table, cells)

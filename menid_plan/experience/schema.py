@@ -8,7 +8,7 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Callable, Mapping
 
-from menid_plan.errors import MenidError
+from menid_plan.errors import InputError, MenidError
 from menid_plan.language.files import parse_text
 
 APPLICATION = 0x4D454E44
@@ -101,14 +101,24 @@ def version_of(connection: sqlite3.Connection, name: str) -> int:
             f"the store `{name}` has version {version}, and this menid-plan knows none beyond "
             f"{VERSION}; a newer menid-plan reads it"
         )
+    if version < 1:
+        raise StoreInputError(f"the store `{name}` is damaged: it has the version {version}")
     return version
 
 
-def migrate(connection: sqlite3.Connection, version: int) -> None:
-    """Bring a store of an older version to the newest, in one transaction."""
+def migrate(connection: sqlite3.Connection, version: int, name: str) -> None:
+    """Bring a store of an older version to the newest, in one transaction.
+
+    Raises StoreInputError if it is damaged; nothing is changed then once the connection is closed.
+    """
     connection.execute("BEGIN IMMEDIATE")
     for step in range(version, VERSION):
-        _MIGRATIONS[step](connection)
+        try:
+            _MIGRATIONS[step](connection)
+        except (InputError, TypeError, AttributeError) as error:
+            raise StoreInputError(
+                f"the store `{name}` is damaged: it has no domain that can be read"
+            ) from error
     connection.execute(f"PRAGMA user_version = {VERSION}")
     connection.execute("COMMIT")
 

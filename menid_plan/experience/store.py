@@ -21,13 +21,14 @@ from typing import Any, TypeAlias
 from menid_plan.experience import codec, files, schema
 from menid_plan.experience.reading import StoreReader
 from menid_plan.experience.record import Experience
+from menid_plan.experience.sameness import difference, difference_for_experiences
 from menid_plan.experience.schema import StoreError, StoreInputError
 from menid_plan.experience.summary import Totals
 from menid_plan.grounding.recent import Recent
 from menid_plan.language.write import write
 from menid_plan.model.domain import Domain, Problem
 
-__all__ = ["Store", "StoreError", "StoreInputError", "Totals"]
+__all__ = ["AlreadyThereError", "Store", "StoreError", "StoreInputError", "Totals"]
 
 _INSERT = (
     "INSERT OR IGNORE INTO experiences (environment, state, action, after, step, test, reward, "
@@ -38,6 +39,14 @@ _INSERT = (
 _BATCH = 5000
 
 _Row: TypeAlias = tuple[Any, ...]
+
+
+class AlreadyThereError(StoreInputError):
+    """An experience is there already and was another; ``index`` is its place among those added."""
+
+    def __init__(self, message: str, index: int) -> None:
+        super().__init__(message)
+        self.index = index
 
 
 class _Ids(Recent[Any, int]):
@@ -124,7 +133,7 @@ class Store(StoreReader):
                     raise StoreInputError(f"the store `{path}` is damaged: {fault}")
                 files.keep_log(connection)
                 if version < schema.VERSION:
-                    schema.migrate(connection, version)
+                    schema.migrate(connection, version, str(path))
             store = cls(path, connection, lock)
             store.must_be_of(domain, problem)
             opened.pop_all()
@@ -146,7 +155,7 @@ class Store(StoreReader):
                     connection.backup(copy)
                     connection.close()
                     connection = copy
-                    schema.migrate(connection, version)
+                    schema.migrate(connection, version, str(path))
             return cls(path, connection, None)
         except BaseException:
             connection.close()
@@ -172,17 +181,28 @@ class Store(StoreReader):
         self.close()
 
     def must_be_of(self, domain: Domain | None, problem: Problem | None) -> None:
-        """Refuse another domain or problem. Equal values are the same, however they are written."""
-        for kind, given in (("domain", domain), ("problem", problem)):
-            if given is None:
-                continue
-            ours, theirs = self._meta[f"{kind}_hash"], _hash(write(given))
-            own = self.domain if kind == "domain" else self.problem
-            if ours != theirs and own != given:
-                raise StoreInputError(
-                    f"`{self.path}` is a store of another {kind}: of `{own.name}` "
-                    f"({ours[:12]}), not of this `{given.name}` ({theirs[:12]})"
-                )
+        """Refuse another domain or problem; comments and layout do not count."""
+        if domain is not None:
+            self._refuse("domain", domain, difference(self.domain, domain))
+        if problem is not None:
+            self._refuse("problem", problem, difference(self.problem, problem))
+
+    def must_suit(self, domain: Domain, problem: Problem | None = None) -> None:
+        """Refuse a domain in which the experiences mean something else, and another problem.
+
+        Probabilities and counts may be others, as in a domain with what was learned; see
+        `sameness.difference_for_experiences`.
+        """
+        self._refuse("domain", domain, difference_for_experiences(self.domain, domain))
+        self.must_be_of(None, problem)
+
+    def _refuse(self, kind: str, given: Domain | Problem, why: str) -> None:
+        own = self.domain if kind == "domain" else self.problem
+        if why:
+            raise StoreInputError(
+                f"`{self.path}` is a store of another {kind}: of `{own.name}`, not of this "
+                f"`{given.name}`; {why}"
+            )
 
     # --------------------------------------------------------------------------------------- adding
 
@@ -192,19 +212,21 @@ class Store(StoreReader):
         One that is there already (by the step of the run in the target environment, by environment,
         action and number in a test environment) is left out if it is the same, and StoreInputError if
         it went from or to another state or had another seed. ValueError if a number in one is negative
-        or not finite where it must not be, or the domain has no such environment.
+        or not finite where it must not be, or the domain and problem have no such environment, action,
+        atom or rule.
         """
         if self._lock is None:
             raise StoreError(f"the store `{self.path}` is open for reading only")
         with files.guarded(self.path, "write to"):
             self._connection.execute("BEGIN IMMEDIATE")
-            new = 0
+            new = begin = 0
             try:
                 for batch in _batches(map(self._row, experiences)):
                     added = self._connection.executemany(_INSERT, batch).rowcount
                     if added < len(batch):
-                        self._must_be_same(batch)
+                        self._must_be_same(batch, begin)
                     new += added
+                    begin += len(batch)
                 self._connection.execute("COMMIT")
             except BaseException:
                 self._known.clear()  # some of these rows will not be there
@@ -246,6 +268,7 @@ class Store(StoreReader):
         known = self._known.setdefault(table, _Ids())
         found = known.get(value)
         if found is None:
+            self._must_be_readable(table, value)
             if table == "states":
                 columns, cells = "atoms", (codec.atoms_column(value),)
             elif table == "actions":
@@ -255,6 +278,18 @@ class Store(StoreReader):
                 cells = codec.explanation_columns(*value)
             found = known[value] = self._intern(table, columns, cells)
         return found
+
+    def _must_be_readable(self, table: str, value: Any) -> None:
+        """ValueError, unless what is written will be read back."""
+        try:
+            if table == "states":
+                self._rows.check_state(value)
+            elif table == "actions":
+                self._rows.check_action(value)
+            else:
+                self._rows.check_explanation(*value)
+        except ValueError as error:
+            raise ValueError(f"what is to be stored is no experience: {error}") from None
 
     def _intern(self, table: str, columns: str, cells: tuple[str, ...]) -> int:
         marks = ", ".join("?" * len(cells))
@@ -267,10 +302,10 @@ class Store(StoreReader):
         where = f"SELECT id FROM {table} WHERE ({columns}) = ({marks})"  # noqa: S608
         return int(self._connection.execute(where, cells).fetchone()[0])
 
-    def _must_be_same(self, rows: Iterable[_Row]) -> None:
-        """Compare rows with those that stand in their places."""
+    def _must_be_same(self, rows: Iterable[_Row], begin: int) -> None:
+        """Compare rows, ``begin`` being the place of the first, with those that stand there."""
         columns = "SELECT environment, state, action, after, seed FROM experiences WHERE "
-        for row in rows:
+        for index, row in enumerate(rows, begin):
             environment, _, action, _, step, test = row[:6]
             key: tuple[int, ...]
             if step is not None:
@@ -284,9 +319,10 @@ class Store(StoreReader):
                 what = f"test {test} of `{self._actions[action]}`"
             there = self._connection.execute(columns + where, key).fetchone()
             if there != (*row[:4], row[8]):
-                raise StoreInputError(
+                raise AlreadyThereError(
                     f"the store `{self.path}` has {what} in `{self._names[environment]}` already, "
-                    "and there its action, states or seed were others"
+                    "and there its action, states or seed were others",
+                    index,
                 )
 
 

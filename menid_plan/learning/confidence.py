@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from menid_plan.learning.exact_delta import exact_delta
-from menid_plan.learning.mixtures import Floats
+from menid_plan.learning.mixtures import MOST, Floats
 
 Method: TypeAlias = Literal["exact", "monte-carlo", "bonferroni"]
 """How the bound is found: all digits; Algorithm 2; or an upper bound from each outcome alone."""
@@ -36,7 +36,7 @@ def delta(
     p ~ Dir(1 + counts), and q = counts / N is its mode (uniform if N = 0). ``counts`` (float64[k],
     k >= 2) may be fractional; 0 < epsilon < 1. ``samples`` and ``rng`` are for ``monte-carlo``; without
     ``rng`` it draws from a generator of its own with the seed 0. Raises ValueError for input that means
-    nothing, and for ``exact`` with an epsilon below 1e-7.
+    nothing, for counts whose sum is beyond 1e12, and for ``exact`` with an epsilon below 1e-7.
     """
     seen = checked_counts(counts)
     check_epsilon(epsilon)
@@ -141,17 +141,22 @@ def _product(alpha: float, k: int) -> float:
 
 
 def checked_counts(counts: ArrayLike) -> Floats:
-    """Counts as float64[k]; ValueError unless there are two or more, finite and not below 0."""
+    """Counts as float64[k]; ValueError unless there are two or more, not below 0, and at most MOST."""
     seen = np.asarray(counts, np.float64)
     if seen.ndim != 1:
         raise ValueError(f"counts must be a row of numbers, not {seen.shape}")
     if len(seen) < 2:
         raise ValueError("at least two counts are needed, one for each outcome")
     values = seen.tolist()
-    if not all(map(math.isfinite, values)) or not math.isfinite(sum(values)):
+    if not all(map(math.isfinite, values)):
         raise ValueError("counts must be finite")
     if min(values) < 0.0:
         raise ValueError("counts must not be below 0")
+    if sum(values) > MOST:
+        raise ValueError(
+            f"the count {max(values):g} is too large: counts must sum to no more than {MOST:g}, for "
+            "beyond that a bound cannot be computed to enough digits"
+        )
     return seen
 
 

@@ -7,10 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from menid_plan.environments.settings import SettingError
+from menid_plan.errors import MeaningError
 from menid_plan.experience.record import DistributionKey
 from menid_plan.grounding.ground import GroundProblem
 from menid_plan.learning.estimators import Estimator
-from menid_plan.learning.mixtures import DirichletMixture
+from menid_plan.learning.mixtures import MOST, DirichletMixture
 from menid_plan.mdp.model import Floats
 from menid_plan.model.domain import Domain, Problem, param_values
 from menid_plan.model.expressions import ZERO, EvaluationError, Expression, Number, evaluate
@@ -24,7 +26,8 @@ class Evidence:
     It starts from the domain's `observed` blocks. Beliefs are kept until the counts behind them
     change, so that learning from an experience costs the same however much is known already.
     ``prior_weight`` is how many executions the probabilities that the domain gives for the target are
-    worth; 0 leaves them out.
+    worth; 0 leaves them out. Raises SettingError for a weight, MeaningError for `observed` counts,
+    with which nothing can be computed.
     """
 
     def __init__(
@@ -36,6 +39,8 @@ class Evidence:
         prior_weight: float = 0.0,
         params: Mapping[str, float] | None = None,
     ) -> None:
+        if not 0.0 <= prior_weight <= MOST:
+            raise SettingError("prior_weight", f"it must lie between 0 and {MOST:g}")
         self.domain = domain
         self.environments = tuple(environments)
         self.estimator = estimator
@@ -68,6 +73,11 @@ class Evidence:
                 cells = rule.observed_cells(environment, key.values)
                 if cells is not None:
                     found[row] = [evaluate(cell, self._params) for cell in cells]
+                    if not sum(found[row].tolist()) <= MOST:
+                        raise MeaningError(
+                            f"`{key}`: the counts observed in `{environment}` sum to more than "
+                            f"{MOST:g}, beyond which nothing can be computed from them"
+                        )
             self._counts[key] = found
         return found
 

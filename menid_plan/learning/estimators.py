@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from menid_plan.errors import MenidError
 from menid_plan.learning.mixtures import (
+    MOST,
     DirichletMixture,
     Floats,
     log_beta,
@@ -52,7 +53,7 @@ class Estimator(Protocol):
         ``counts`` (float64[e, k]) says how often each of k outcomes was seen: row 0 in the target, the
         others in the tests, in their order; they may be fractional. ``prior`` (float64[k]) are pseudo
         counts, such as given probabilities times a weight. Raises ValueError for counts of another
-        shape, negative or not finite.
+        shape, negative, not finite, or whose sum is beyond 1e12.
         """
 
 
@@ -88,6 +89,8 @@ def _seen(counts: ArrayLike, prior: ArrayLike | None) -> tuple[_Seen, int]:
         raise ValueError("counts must be finite")
     if np.minimum.reduce(table, axis=None) < 0.0 or np.minimum.reduce(pseudo) < 0.0:
         raise ValueError("counts must not be below 0")
+    if max(sums) > MOST:
+        raise ValueError(f"the counts of an environment sum to {max(sums):g}, beyond {MOST:g}")
     rows = tuple(row for row in range(1, len(table)) if sums[row] > 0.0)
     tests = table[1:] if len(rows) == len(table) - 1 else table[list(rows)]
     return _Seen(table[0], tests, tuple(row - 1 for row in rows), pseudo), len(table) - 1
@@ -159,10 +162,10 @@ class DecreasingM:
 
     def __post_init__(self) -> None:
         if isinstance(self.m, Sequence):
-            object.__setattr__(self, "m", tuple(map(float, self.m)))
-        each = self.m if isinstance(self.m, tuple) else (self.m,)
-        if not all(0.0 <= m < math.inf for m in each):
-            raise ValueError("m must be finite, and not below 0")
+            object.__setattr__(self, "m", tuple(_number("m", m) for m in self.m))
+        each = self.m if isinstance(self.m, tuple) else (_number("m", self.m),)
+        if not all(0.0 <= m <= MOST for m in each):
+            raise ValueError(f"m must be finite, at most {MOST:g}, and not below 0")
 
     def posterior(self, counts: ArrayLike, prior: ArrayLike | None = None) -> DirichletMixture:
         """What is believed of the target; see `Estimator.posterior`.
@@ -270,8 +273,7 @@ class PowerPrior:
     points: int = 21
 
     def __post_init__(self) -> None:
-        if self.points < 2:
-            raise ValueError("points must be at least 2")
+        _check_points(self.points, 2)
 
     def posterior(self, counts: ArrayLike, prior: ArrayLike | None = None) -> DirichletMixture:
         """What is believed of the target; see `Estimator.posterior`."""
@@ -297,9 +299,8 @@ class PrecisionGrid:
     highest: float = 1000.0
 
     def __post_init__(self) -> None:
-        if self.points < 1:
-            raise ValueError("points must be at least 1")
-        _check_positive("highest", self.highest)
+        _check_points(self.points, 1)
+        _check_positive("highest", self.highest, MOST)
 
     def posterior(self, counts: ArrayLike, prior: ArrayLike | None = None) -> DirichletMixture:
         """What is believed of the target; see `Estimator.posterior`."""
@@ -435,11 +436,33 @@ def _precisions(points: int, highest: float) -> Floats:
     return np.geomspace(1.0, highest, points)
 
 
+# A finer grid would say the same, and take the memory of the machine.
+_MOST_POINTS = 10_000
+
+
+def _number(name: str, value: object) -> float:
+    """A number; what comes from a file or the command line may be anything."""
+    try:
+        if isinstance(value, str | bool):
+            raise TypeError
+        return float(value)  # type: ignore[arg-type]
+    except (TypeError, OverflowError):
+        raise ValueError(f"{name} must be a number, not `{value}`") from None
+
+
 def _check_share(value: float, name: str = "weight") -> None:
-    if not 0.0 < value < 1.0:
+    if not 0.0 < _number(name, value) < 1.0:
         raise ValueError(f"{name} must lie between 0 and 1")
 
 
-def _check_positive(name: str, value: float) -> None:
-    if not 0.0 < value < math.inf:
+def _check_positive(name: str, value: float, most: float = math.inf) -> None:
+    number = _number(name, value)
+    if not 0.0 < number < math.inf:
         raise ValueError(f"{name} must be finite and above 0")
+    if number > most:
+        raise ValueError(f"{name} must be at most {most:g}")
+
+
+def _check_points(value: int, least: int) -> None:
+    if _number("points", value) != value or not least <= value <= _MOST_POINTS or value % 1:
+        raise ValueError(f"points must be a whole number from {least} to {_MOST_POINTS}")

@@ -6,7 +6,8 @@ a vector of gammas under the condition that they sum to 1 (Levin 1981 does so fo
 density of a sum of cut-off gammas is a convolution, read off its Fourier series.
 
 Up to four outcomes give seven digits or more; fractions below 1, whose densities bend at 0, and
-more outcomes give at least four.
+more outcomes give at least four. Where counts sum to more than 1e9 rounding takes some of the seven;
+four are left up to 1e12.
 """
 
 from __future__ import annotations

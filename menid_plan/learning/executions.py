@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Sequence
+from contextlib import suppress
 
 from menid_plan.environments.interface import (
     CannotResetError,
@@ -15,7 +16,7 @@ from menid_plan.environments.pool import ExecutionFuture, Failure, Pool
 from menid_plan.environments.registry import EnvironmentSpec
 from menid_plan.environments.runfile import Bound, WorkersTable
 from menid_plan.environments.seeds import seed_of
-from menid_plan.environments.session import Session
+from menid_plan.environments.session import Session, without_name
 from menid_plan.errors import MenidError
 from menid_plan.experience.attribution import Attributor
 from menid_plan.experience.record import DistributionKey, Experience
@@ -136,7 +137,9 @@ class Executions:
             reason: Reason = "cannot-reset" if impossible else "failed"
             if impossible:  # of attempts that failed the pool has told
                 self._count_failure(
-                    spec.name, f"environment `{spec.name}`, `{task.action}`: {error}"
+                    spec.name,
+                    f"environment `{spec.name}`, `{task.action}`: "
+                    f"{without_name(str(error), spec.name)}",
                 )
             self._events.write(
                 "given up", environment=spec.name, action=str(task.action), number=number,
@@ -233,8 +236,9 @@ class Executions:
 
     def _leave(self) -> None:
         if self._session is not None:
-            self._session.close()
-            self._session = None
+            session, self._session = self._session, None
+            with suppress(Exception, SystemExit):  # nothing depends on it any more
+                session.close()
 
     # ----------------------------------------------------------------------------------- the rest
 

@@ -63,6 +63,9 @@ class Progress:
 class Loop:
     """One learning run. ``watch`` is called with a point of the curve after each step and each test.
 
+    ``underway`` is called after each execution of a test: with the point where the run would be if the
+    test ended there.
+
     ``state`` is that of the target, ``marked`` has the actions that were tested and not executed
     since.
     """
@@ -77,6 +80,7 @@ class Loop:
         executions: Executions,
         clock: Clock,
         watch: Callable[[Point], None] = lambda _: None,
+        underway: Callable[[Point], None] = lambda _: None,
     ) -> None:
         self.bound = bound
         self.settings = settings
@@ -86,6 +90,7 @@ class Loop:
         self.executions = executions
         self.clock = clock
         self.watch = watch
+        self.underway = underway
         self.progress = Progress()
         self.marked: set[GroundAction] = set()
         self.state: State = frozenset(bound.problem.init)
@@ -178,6 +183,8 @@ class Loop:
         left = [self.settings.test_time] * self.settings.lanes  # 8: the time left in each lane
         used = [0.0] * self.settings.lanes
         executed = given_up = 0
+        key = self.attributor.distribution(state, action)
+        look = 1
         with closing(self.executions.tests(spec, state, action)) as coming:
             for experience in coming:  # 10
                 if experience is None:
@@ -191,11 +198,21 @@ class Loop:
                 lane = used.index(min(used))
                 used[lane] += experience.duration  # 11
                 left[lane] -= experience.duration  # 13
+                self.underway(self._here("test", max(used)))
                 if max(left) <= 0.0 or executed >= MAX_TESTS:  # 9
                     break
+                # Where time hardly passes T is no end: there, what is known well is known well.
+                if executed >= look and sum(left) / len(left) > self._tests_left(executed):
+                    if key is not None and not self._is_unsure(spec, key):
+                        break
+                    look = executed + max(1, executed // 20)
         self.executions.save()
         self.clock.spend(max(used))
         self._point("test")
+
+    def _tests_left(self, executed: int) -> float:
+        """The time that is left of T after so many tests if MAX_TESTS of them take all of it."""
+        return self.settings.test_time * (1.0 - executed / MAX_TESTS)
 
     def _execute(self, state: State, action: GroundAction) -> None:
         """Execute an action in the target."""
@@ -290,10 +307,11 @@ class Loop:
 
     def _point(self, what: Literal["step", "test"]) -> None:
         self.clock.come_to_point()
+        self.watch(self._here(what))
+
+    def _here(self, what: Literal["step", "test"], more: float = 0.0) -> Point:
+        """The point at which the run is, so many seconds of executions further."""
         progress = self.progress
+        seconds = self.clock.seconds + (more if self.settings.clock == "virtual" else 0.0)
         tests = sum(progress.executions.values()) - progress.steps
-        self.watch(
-            Point(
-                self.clock.seconds, progress.reward, progress.steps, progress.episodes, tests, what
-            )
-        )
+        return Point(seconds, progress.reward, progress.steps, progress.episodes, tests, what)

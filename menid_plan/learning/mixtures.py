@@ -11,6 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats: TypeAlias = NDArray[np.float64]
 
+MOST = 1e12
+"""The largest sum of counts, and the largest weight, for which beliefs and bounds are found.
+
+There an error may be some 1e-12, and probabilities are known to 1e-16: beyond, too few digits are left.
+"""
+
 # From so many values on, loading SciPy and calling it is quicker than the standard library's lgamma.
 _MANY = 3000
 

@@ -21,8 +21,9 @@ from menid_plan.environments.seeds import seed_of
 from menid_plan.environments.settings import SettingError
 from menid_plan.errors import MenidError
 from menid_plan.experience.attribution import Attributor
-from menid_plan.experience.store import Store
+from menid_plan.experience.store import Store, StoreError, StoreInputError
 from menid_plan.files import replace_file
+from menid_plan.grounding.state import GroundAction
 from menid_plan.language.write import write
 from menid_plan.learning.clock import Clock, RealClock, VirtualClock
 from menid_plan.learning.counts import Evidence, learned_domain
@@ -60,10 +61,11 @@ class FolderError(MenidError):
 class Run:
     """One learning run in a folder; ``watch`` is called with every point of its curve.
 
+    ``underway`` is told how far the run is between two of these, while an action is tested.
     ``reported`` is told in words of each execution that failed, from any thread. ``resume`` goes on
-    with the run that is there. Settings are looked at before anything is written: raises SettingError
-    that names the key, UnsupportedError for an objective that the solver does not know, RunError or
-    StoreError if the folder can't be used.
+    with the run that is there; one in which nothing was executed is replaced in any case. Settings are
+    looked at before anything is written: raises SettingError that names the key, UnsupportedError for
+    an objective that the solver does not know, RunError or StoreError if the folder can't be used.
     """
 
     def __init__(
@@ -76,6 +78,7 @@ class Run:
         params: Mapping[str, float] | None = None,
         resume: bool = False,
         watch: Callable[[Point], None] = lambda _: None,
+        underway: Callable[[Point], None] = lambda _: None,
         reported: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.folder = folder
@@ -113,7 +116,7 @@ class Run:
             opened.callback(executions.close)
             self.loop = Loop(
                 bound, settings, self.evidence, self.planner, attributor, executions, clock,
-                self._point,
+                self._point, underway,
             )  # fmt: skip
             self._opened = opened.pop_all()
 
@@ -158,6 +161,22 @@ class Run:
             learned = write(learned_domain(self.evidence, roles))
             replace_file(self.folder / LEARNED, learned.encode())
 
+    def best(self) -> tuple[GroundAction | None, float, float | None]:
+        """The best first action by what was learned, its value, and the probability of the goal.
+
+        The last is None where the objective is another one than goal-then-reward.
+        """
+        action, value = self.planner.best()
+        return action, value, self._goal_probability()
+
+    def _goal_probability(self) -> float | None:
+        if self.planner.objective != "goal-then-reward":
+            return None
+        model, _ = self.planner._model(frozenset(self.bound.problem.init))
+        found = model.solved(model.posterior.learned())
+        chances = found.goal_probability
+        return None if chances is None else float(chances[found.initial])
+
     @property
     def failed(self) -> Mapping[str, int]:
         """Attempts at executions that came to nothing, by environment, those before a resume too."""
@@ -168,16 +187,30 @@ class Run:
     def _open_store(self, resume: bool) -> Store:
         """The store of the run that is there, if it is this one, or a new one."""
         described = self._described()
-        settings, store = self.folder / SETTINGS, self.folder / STORE
+        there = [n for n in (STORE, SETTINGS, CURVE, EVENTS) if (self.folder / n).exists()]
         if not resume:
-            there = [n for n in (STORE, SETTINGS, CURVE, EVENTS) if (self.folder / n).exists()]
             if there:
-                raise RunError(
-                    f"there is a run in `{self.folder}` already ({', '.join(there)}); go on with "
-                    "--resume, or give another folder"
-                )
-        elif not settings.exists() and not store.exists():
+                if not _is_untouched(self.folder):
+                    raise RunError(
+                        f"there is a run in `{self.folder}` already ({', '.join(there)}); go on "
+                        "with --resume, or give another folder"
+                    )
+                _clear(self.folder)
+            return self._make_store(described, resume=False)
+        if not there:
             raise RunError(f"there is no run in `{self.folder}` to resume")
+        _must_have_its_store(self.folder)
+        try:
+            return self._make_store(described, resume=True)
+        except (RunError, StoreInputError):
+            # Where nothing was executed there is nothing that other settings would not go with.
+            if not _is_untouched(self.folder):
+                raise
+        _clear(self.folder)
+        return self._make_store(described, resume=False)
+
+    def _make_store(self, described: dict[str, Any], *, resume: bool) -> Store:
+        settings, store = self.folder / SETTINGS, self.folder / STORE
         if settings.exists():
             _must_be_same(settings, _read_settings(settings), described)
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -187,6 +220,8 @@ class Run:
         )  # fmt: skip
         try:
             _must_be_same(store, opened.settings, described)
+            if len(opened) == 0:
+                _must_have_been_empty(self.folder, "has no experiences")
             with _writing(self.folder):
                 replace_file(settings, (json.dumps(described, indent=2) + "\n").encode())
         except BaseException:
@@ -250,6 +285,70 @@ def _made_solver(settings: LearnSettings) -> Solver | OnlineSolver:
         raise SettingError("learn.solver", str(error)) from error
     except (OptionError, TypeError) as error:
         raise SettingError("learn.solver_options", str(error)) from error
+
+
+def _executed(folder: Path) -> tuple[int, int]:
+    """How many steps and tests the curve and the events of a run tell of."""
+    steps = tests = 0
+    with suppress(FileNotFoundError, NotADirectoryError):
+        for row in (folder / CURVE).read_bytes().splitlines()[1:]:
+            with suppress(ValueError, IndexError):
+                cells = row.split(b",")
+                steps, tests = max(steps, int(cells[2])), max(tests, int(cells[4]))
+    with suppress(FileNotFoundError, NotADirectoryError):
+        for line in (folder / EVENTS).read_bytes().splitlines():
+            with suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
+                event = json.loads(line)
+                if event["event"] in ("ended", "failed", "interrupted"):
+                    done = int(event["steps"])
+                    elsewhere = sum(map(int, event["executions"].values())) - done
+                    steps, tests = max(steps, done), max(tests, elsewhere)
+    return steps, tests
+
+
+def _must_have_its_store(folder: Path) -> None:
+    """Refuse to go on with a run whose store is lost: it would begin anew and say nothing."""
+    store = folder / STORE
+    if not store.exists():
+        _must_have_been_empty(folder, "is missing")
+    elif store.is_file() and store.stat().st_size == 0:
+        _must_have_been_empty(folder, "is empty")
+
+
+def _must_have_been_empty(folder: Path, fault: str) -> None:
+    steps, tests = _executed(folder)
+    if steps or tests:
+        where = CURVE if (folder / CURVE).exists() else EVENTS
+        raise RunError(
+            f"the store `{folder / STORE}` {fault}, though {where} tells of {steps} steps and {tests} "
+            "tests: put the store back to go on, or learn anew in another folder"
+        )
+
+
+def _is_untouched(folder: Path) -> bool:
+    """Whether a run is there in which nothing was executed, such as one that failed to start."""
+    store = folder / STORE
+    if not store.exists() and not (folder / SETTINGS).exists():
+        return False
+    if any(_executed(folder)):
+        return False
+    if not store.exists() or (store.is_file() and store.stat().st_size == 0):
+        return True
+    try:
+        with Store.read(store) as opened:
+            return len(opened) == 0
+    except StoreError:
+        return False
+
+
+def _clear(folder: Path) -> None:
+    """Remove a run in which nothing was executed; StoreError if another process is at it."""
+    store = folder / STORE
+    if store.exists() and store.stat().st_size > 0:
+        Store.resume(store).close()
+    with _writing(folder):
+        for name in (STORE, f"{STORE}-wal", f"{STORE}-shm", SETTINGS, EVENTS, CURVE, LEARNED):
+            (folder / name).unlink(missing_ok=True)
 
 
 def _read_settings(path: Path) -> dict[str, Any]:

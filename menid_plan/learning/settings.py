@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
 from menid_plan.environments.settings import SettingError, check_range
+from menid_plan.learning.exact_delta import LEAST_EPSILON
 
 TestPolicy: TypeAlias = Literal["cheapest-first", "all"]
 """Which of several tests an action is tried in: the cheapest that is not known well, or all such."""
@@ -63,11 +64,17 @@ class LearnSettings:
     def __post_init__(self) -> None:
         for key in ("test_time", "delta", "prior_weight", "hours", "steps", "episodes", "seed"):
             check_range(self, key)
-        check_range(self, "lanes", least=1)
+        check_range(self, "lanes", least=1, most=10_000)
         check_range(self, "episode_steps", least=1)
         if not 0.0 < self.epsilon < 1.0:
             raise SettingError(
                 "epsilon", f"expected a number between 0 and 1, not {self.epsilon:g}"
+            )
+        if self.delta_method == "exact" and self.epsilon < LEAST_EPSILON:
+            raise SettingError(
+                "epsilon",
+                f'expected at least {LEAST_EPSILON:g} with delta_method "exact", not '
+                f"{self.epsilon:g}",
             )
         for key in ("test_time", "delta", "prior_weight", "hours"):
             value = getattr(self, key)
