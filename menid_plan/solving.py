@@ -103,7 +103,7 @@ class Solution:
         low, high = float(self.lower[self.initial]), float(self.upper[self.initial])
         if low == high or not math.isfinite(high - low):
             return low if low == high else (low + high) / 2
-        middle = (low + high) / 2
+        middle = low + (high - low) / 2  # the sum might overflow
         short = float(f"{middle:.12g}")
         return short if low <= short <= high else middle
 

@@ -518,9 +518,21 @@ def test_a_solver_that_does_not_catch_an_interrupt(
     assert result.exit_code == 6
     found = json.loads(result.output)
     assert (found["value"], found["lower"], found["upper"]) == (None, None, None)
-    assert "interrupted before anything was known" in (
-        menid("solve", problem("hdd/bench")).output
-    )  # fmt: skip
+    Path("kept.json").write_text("a policy")
+    result = menid("solve", problem("hdd/bench"), "-o", "kept.json")
+    assert "interrupted before anything was known" in result.output
+    assert "kept.json was not written: nothing is known of a policy" in result.output
+    assert Path("kept.json").read_text() == "a policy"
+
+
+def test_a_value_between_very_large_bounds(menid: Menid) -> None:
+    text = (
+        "domain d predicate p action a { rule r { when not p outcomes { o: 1 p } } }"
+        " problem t for d goal p reward 1e308"
+    )
+    result = menid("solve", "-", "--json", input=text)
+    found = json.loads(result.stdout)
+    assert found["lower"] <= found["value"] <= found["upper"]
 
 
 def test_progress_on_a_terminal_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:

@@ -47,6 +47,8 @@ def command(
 
     Prints the number of facts, ground rules, states, transitions and dead ends, and what it took.
     """
+    if output is not None and not output.name:
+        raise click.UsageError(f"`{output}` is no name of a file")
     domain, problem = load_both(files)
     start = time.perf_counter()
     from menid_plan.exchange.explicit import write_drn, write_prism

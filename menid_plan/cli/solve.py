@@ -147,7 +147,10 @@ def _written(
     task: Task, solution: Solution, output: Path | None, dot: Path | None, png: Path | None
 ) -> Iterator[Path]:
     """Write the files that are asked for; gives each when it is there."""
-    if output is not None:
+    is_known = solution.status != "limit" or _action(task, solution) is not None
+    if output is not None and not is_known:
+        click.echo(f"{output} was not written: nothing is known of a policy", err=True)
+    elif output is not None:
         from menid_plan.policy_file import policy_text
 
         with opened(output) as stream:

@@ -13,6 +13,7 @@ from menid_solvers.sweep_kernels import (
     sweep_all,
     sweep_shortest_stay,
     sweep_taken,
+    sweep_up,
     take_rows,
 )
 
@@ -21,9 +22,9 @@ _ROWS = "i8[::1], i4[::1], u4[::1], i4[::1], f8[::1], f8[::1], f8[::1]"
 # What `state` holds between calls.
 (
     BLOCK, PHASE, SHIFT, BLOCK_SWEEPS, LARGEST, SWEEPS, RESIDUAL, PATIENCE, WIDTH, STAY, MARK, LEAST,
-    GIVEN_UP,
-) = range(13)  # fmt: skip
-STATE = 13
+    LEAPT, GIVEN_UP,
+) = range(14)  # fmt: skip
+STATE = 14
 # What a call ends with.
 DONE, MORE, SLOW = range(3)
 # The phases of a block.
@@ -32,8 +33,9 @@ START, VALUE, DURATION, CHECK, UPPER = range(5)
 ROUNDING = 1.2e-16  # a little over 2^-53
 SHORTEST_AFTER = 64  # sweeps for the stay of a policy that may linger for nothing
 LEAST_SHIFT = 2.5  # the least shift, in errors; twice as much where that turns out too little
-LEAP = 32  # sweeps that lift an upper bound, after which it leaps
-LEAPS = 40  # that many, each twice as far as the one before; then the bound stays open
+LEAP = 32  # upward sweeps, after which it leaps if they have come down to rounding
+PATIENT = 1024  # upward sweeps, after which it leaps in any case
+LEAPS = 40  # so often, each twice as far as the one before; then the bound stays open
 GIVE_UP = 300_000  # sweeps of a block, after which its bounds stay open
 
 
@@ -188,7 +190,7 @@ def advance(
 
         if state[PHASE] == VALUE:
             sweep_all(
-                first, last, 0.0, first_row, first_entry, target, row_weight, weight, constant, floor,
+                first, last, first_row, first_entry, target, row_weight, weight, constant, floor,
                 hi, policy, measured,
             )  # fmt: skip
             state[SWEEPS] += 1
@@ -296,6 +298,7 @@ def advance(
             if measured[1] < error:
                 for u in range(first, last):
                     lo[u] = -np.inf
+            state[LEAPT] = 0.0
             # lo <= T(lo); T(hi) <= hi as well, or it rises until it is so.
             state[MARK] = 0.0 if measured[0] >= error else 1.0
             state[PHASE] = UPPER
@@ -304,14 +307,14 @@ def advance(
             sure = state[MARK] == 0.0
             mark = int(state[MARK])
             leap = not sure and mark % LEAP == 0
+            leap &= state[RESIDUAL] <= 2.0 * error or mark >= PATIENT
             if not sure:
                 if leap:
                     for u in range(first, last):
                         taken_constant[u - first] = hi[u]
-                # Once a sweep lifts nothing by more than half the lift, T(hi) <= hi in truth.
-                sweep_all(
-                    first, last, 2.0 * error, first_row, first_entry, target, row_weight, weight,
-                    constant, floor, hi, policy, measured,
+                sweep_up(
+                    first, last, unit, first_row, first_entry, target, row_weight, weight, constant,
+                    floor, hi, measured,
                 )  # fmt: skip
                 state[MARK] += 1
                 state[SWEEPS] += 1
@@ -319,16 +322,17 @@ def advance(
                 spent += block_work
                 state[LARGEST] = max(state[LARGEST], measured[2])
                 state[RESIDUAL] = measured[0]
-                sure = measured[0] <= error
+                sure = measured[0] == 0.0
             if leap and not sure:
-                # One may linger at next to no loss: what a sweep lifts, it would lift for long.
-                far = 8.0 * 2.0 ** (mark // LEAP)
+                # One may linger at next to no loss: what a sweep lifts is lifted for long.
+                far = 16.0 * 2.0 ** state[LEAPT]
+                state[LEAPT] += 1
                 largest = state[LARGEST]
                 for u in range(first, last):
                     hi[u] += far * (hi[u] - taken_constant[u - first])
                     largest = max(largest, abs(hi[u]))
                 state[LARGEST] = largest
-                if mark == LEAP:
+                if state[LEAPT] == 1.0:
                     state[PATIENCE] = 0.0  # elimination may do it
             over = state[BLOCK_SWEEPS] >= GIVE_UP
             if not (sure or leap or over):
@@ -338,7 +342,7 @@ def advance(
                 gap = max(gap, hi[u] - lo[u])
             close = gap <= allowed
             last_try = over or shift <= 1.1 * least
-            if not sure and not over and (close or last_try) and mark < LEAP * LEAPS:
+            if not sure and not over and (close or last_try) and state[LEAPT] < LEAPS:
                 continue
             if not sure and last_try:
                 for u in range(first, last):

@@ -39,6 +39,7 @@ from menid_solvers.sweep_kernels import choose_policy, slack, sweep_all
 
 ROUNDING = 1.2e-16  # a little over 2^-53
 CHEAP = 1e5  # what elimination of a block may cost in any case, in operations
+SHIFTS = 12  # shifts that are tried, each twice the one before
 WORK = 3e7  # entries read between two returns to Python: a tenth of a second or less
 
 
@@ -213,7 +214,7 @@ def _partial(
         # What was measured last will not do: sweeps of one policy, or upward, may have followed.
         x, measured = hi[first:last], np.zeros(3)
         largest = max(float(state[kernels.LARGEST]), float(np.max(np.abs(x))))
-        sweep_all(first, last, 0.0, *core.rows(), hi, policy, measured)
+        sweep_all(first, last, *core.rows(), hi, policy, measured)
         change = max(measured[0], measured[1]) + 2.0 * unit * max(largest, measured[2])
         reach = change / (1.0 - core.discount) * (1.0 + 1e-9)
         high = np.fmin(high, x + reach)  # what overflowed does not count
@@ -252,8 +253,10 @@ def _eliminate(
     band = elimination.bandwidth(first, last, core.first_row, core.first_entry, core.target)
     entries = core.first_entry[core.first_row[last]] - core.first_entry[core.first_row[first]]
     cost = (last - first) * max(band, 1) ** 2
-    work = max(CHEAP, 3.0 * min(sweeps_left, state[kernels.BLOCK_SWEEPS]) * entries)
-    rounds = min(50.0, work / cost)
+    # Where nothing is foretold it may take a tenth of the time so far.
+    worth = 3.0 * sweeps_left if math.isfinite(sweeps_left) else math.inf
+    worth = min(worth, (3.0 if worth < math.inf else 0.03) * state[kernels.BLOCK_SWEEPS])
+    rounds = min(50.0, max(CHEAP, worth * entries) / cost)
     if cost > 1e9 or rounds < 3:
         return False
     if (last - first) * (2 * band + 1) > 5e7:
@@ -271,7 +274,7 @@ def _eliminate(
     leaving = policy[part].copy()
     below = lo.copy()
     slacks = np.empty(3)
-    scale, margin, shift = 1.0, 1.5, math.inf
+    scale, shift = 1.0, math.inf
     unit = kernels.ROUNDING * (3 * core.longest + 12)
     for _ in range(int(rounds)):
         state[kernels.SWEEPS] += 1
@@ -283,29 +286,34 @@ def _eliminate(
             scale /= 1000.0
             continue
         longest_stay = float(np.max(answer[:, 2]))
-        size = max(float(state[kernels.LARGEST]), float(np.max(np.abs(answer[:, :2]))))
+        largest = max(float(state[kernels.LARGEST]), float(np.max(np.abs(answer[:, :2]))))
         # Never larger again: by a larger one it may pay to stay, by that for staying not, in turn.
-        shift = max(min(shift, scale * own / (4.0 * longest_stay)), margin * unit * size)
-        x[part] = answer[:, 0] + shift * answer[:, 2]
-        if elimination.improve_policy(first, last, shift, shift / 4, *core.rows(), x, policy) > 0:
-            continue
-        below[part] = answer[:, 1] - shift * answer[:, 2]
-        slack(first, last, *core.rows(), x, below, policy, slacks)
-        largest = max(size, float(np.max(np.abs(x[part]))), float(np.max(np.abs(below[part]))))
-        if min(slacks[0], slacks[1]) >= unit * largest:
+        shift = min(shift, scale * own / (4.0 * longest_stay))
+        told = max(shift, 1.5 * unit * largest)
+        x[part] = answer[:, 0] + told * answer[:, 2]
+        if elimination.improve_policy(first, last, told, told / 4, *core.rows(), x, policy) == 0:
             break
-        margin *= 2.0  # what elimination rounded off is more than the shift covers
     else:
         policy[part] = before
         return False
+    # The least shift that is more than what elimination rounded off.
+    wanted, shift = shift, max(shift, 0.1 * unit * largest)
+    for _ in range(SHIFTS):
+        x[part] = answer[:, 0] + shift * answer[:, 2]
+        below[part] = answer[:, 1] - shift * answer[:, 2]
+        slack(first, last, unit, *core.rows(), x, below, policy, slacks)
+        if min(slacks[0], slacks[1]) >= 0.0:
+            break
+        shift *= 2.0
     gap = float(np.max(x[part] - below[part]))
-    if gap > allowed and shift > margin * unit * size:
+    if not min(slacks[0], slacks[1]) >= 0.0 or (gap > allowed and shift <= wanted):
         policy[part] = before
         return False
     lo[part] = below[part]
     state[kernels.PHASE] = kernels.UPPER  # whoever interrupts here finds lo certified
     hi[part] = x[part]
-    state[kernels.LARGEST] = largest
+    sizes = float(np.max(np.abs(x[part]))), float(np.max(np.abs(below[part])))
+    state[kernels.LARGEST] = max(largest, *sizes)
     state[kernels.BLOCK] += 1
     state[kernels.PHASE] = kernels.START
     return True

@@ -15,12 +15,13 @@ from menid_plan.mdp.model import Bools, Floats, Ints, Naturals, SmallInts
 _ROWS = "i8[::1], i4[::1], u4[::1], i4[::1], f8[::1], f8[::1], f8[::1]"
 _TAKEN = "i8[::1], u4[::1], f8[::1], f8[::1]"
 
+HALF = 1.11022303e-16  # a little over 2^-53: added to 1 it makes the next double, not the one after
 
-@kernel(f"void(i8, i8, f8, {_ROWS}, f8[::1], i8[::1], f8[::1])")
+
+@kernel(f"void(i8, i8, {_ROWS}, f8[::1], i8[::1], f8[::1])")
 def sweep_all(
     first: int,
     last: int,
-    lift: float,
     first_row: Ints,
     first_entry: SmallInts,
     target: Naturals,
@@ -32,10 +33,7 @@ def sweep_all(
     policy: Ints,
     measured: Floats,
 ) -> None:
-    """x[u] = the best of the rows, for each unknown; policy: which it was, lowest first.
-
-    With a lift above 0 x only rises, to the best and the lift; the policy is left alone.
-    """
+    """x[u] = the best of the rows, for each unknown; policy: which it was, lowest first."""
     rise = 0.0
     fall = 0.0
     largest = 0.0
@@ -51,18 +49,64 @@ def sweep_all(
             if value > best:
                 best = value
                 chosen = i
-        best += lift
         change = best - x[u]
         rise = max(rise, change)
         fall = max(fall, -change)
         largest = max(largest, abs(best))
-        if lift == 0.0:
-            x[u] = best
-            policy[u] = chosen
-        elif change > 0.0:
-            x[u] = best
+        x[u] = best
+        policy[u] = chosen
     measured[0] = rise
     measured[1] = fall
+    measured[2] = largest
+
+
+@kernel(f"void(i8, i8, f8, {_ROWS}, f8[::1], f8[::1])")
+def sweep_up(
+    first: int,
+    last: int,
+    unit: float,
+    first_row: Ints,
+    first_entry: SmallInts,
+    target: Naturals,
+    row_weight: SmallInts,
+    weight: Floats,
+    constant: Floats,
+    floor: Floats,
+    x: Floats,
+    measured: Floats,
+) -> None:
+    """x[u] rises to what no row of it exceeds in truth: where nothing rose, T(x) <= x.
+
+    Weights and leak of a row sum to 1, so that it exceeds x[u] by constant - leak * x[u] + sum of
+    weight * (x[target] - x[u]). What rounding may hide of that is ``unit`` of those terms' sizes: next
+    to nothing where x is level, as it is where one can linger without loss. (Sums of weight * x hide
+    that much of x, and it would be lifted for ever.) The policy is left alone.
+    """
+    rise = 0.0
+    largest = 0.0
+    for u in range(first, last):
+        here = x[u]
+        step = max(0.0, floor[u] - here)
+        for i in range(first_row[u], first_row[u + 1]):
+            loss = weight[row_weight[i] - 1] * here
+            change = constant[i] - loss
+            size = abs(constant[i]) + abs(loss)
+            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
+            at = np.uint64(row_weight[i]) - begin
+            for k in range(begin, end):
+                part = weight[at + k] * (x[target[k]] - here)
+                change += part
+                size += abs(part)
+            if change + unit * size > 0.0:
+                # Some more, so as not to come back for what rises after it; the next double at least,
+                # which is not above the values that lift it.
+                step = max(step, change + 3.0 * unit * size, HALF * abs(here))
+        if step > 0.0:
+            x[u] = here + step
+        rise = max(rise, step)
+        largest = max(largest, abs(here + step))
+    measured[0] = rise
+    measured[1] = 0.0
     measured[2] = largest
 
 
@@ -250,10 +294,11 @@ def choose_certified(
     measured[1] = below
 
 
-@kernel(f"void(i8, i8, {_ROWS}, f8[::1], f8[::1], i8[::1], f8[::1])")
+@kernel(f"void(i8, i8, f8, {_ROWS}, f8[::1], f8[::1], i8[::1], f8[::1])")
 def slack(
     first: int,
     last: int,
+    unit: float,
     first_row: Ints,
     first_entry: SmallInts,
     target: Naturals,
@@ -266,29 +311,36 @@ def slack(
     policy: Ints,
     measured: Floats,
 ) -> None:
-    """measured: the least hi - T(hi), over all rows, and the least T(lo) - lo, of the policy."""
+    """measured: the least hi - T(hi), over all rows, and the least T(lo) - lo, of the policy.
+
+    Less what rounding may hide of each, which is told as in `sweep_up`.
+    """
     above = np.inf
     below = np.inf
     for u in range(first, last):
-        best = floor[u]
+        high = hi[u]
+        low = lo[u]
+        above = min(above, high - floor[u])
+        if policy[u] < 0:
+            below = min(below, floor[u] - low)
         for i in range(first_row[u], first_row[u + 1]):
-            value = constant[i]
+            leak = weight[row_weight[i] - 1]
+            rise = constant[i] - leak * high
+            gain = constant[i] - leak * low
+            high_size = abs(constant[i]) + abs(leak * high)
+            low_size = abs(constant[i]) + abs(leak * low)
             begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
             at = np.uint64(row_weight[i]) - begin
             for k in range(begin, end):
-                value += weight[at + k] * hi[target[k]]
-            best = max(best, value)
-        above = min(above, hi[u] - best)
-        i = policy[u]
-        if i < 0:
-            value = floor[u]
-        else:
-            value = constant[i]
-            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
-            at = np.uint64(row_weight[i]) - begin
-            for k in range(begin, end):
-                value += weight[at + k] * lo[target[k]]
-        below = min(below, value - lo[u])
+                part = weight[at + k] * (hi[target[k]] - high)
+                rise += part
+                high_size += abs(part)
+                part = weight[at + k] * (lo[target[k]] - low)
+                gain += part
+                low_size += abs(part)
+            above = min(above, -(rise + unit * high_size))
+            if i == policy[u]:
+                below = min(below, gain - unit * low_size)
     measured[0] = above
     measured[1] = below
 
