@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import pytest
 from click.testing import CliRunner
@@ -51,3 +52,29 @@ def test_an_unknown_name() -> None:
 @pytest.mark.parametrize("name", ["value-iteration", "policy-iteration", "storm", "thompson"])
 def test_a_solver_goes_by_its_own_name(name: str) -> None:
     assert load_solver(name).name == name
+
+
+@pytest.mark.parametrize(
+    ("name", "option", "value", "allowed"),
+    [
+        *(
+            (name, "epsilon", value, "above 0 and finite")
+            for name in ("value-iteration", "policy-iteration", "storm", "thompson")
+            for value in (-1.0, 0.0, math.nan, math.inf)
+        ),
+        *(
+            (name, "tie", value, "between 0 and 1")
+            for name in ("value-iteration", "policy-iteration", "storm")
+            for value in (-1e-9, 2.0)
+        ),
+        ("value-iteration", "max_seconds", math.nan, "at least 0 and finite"),
+        ("value-iteration", "max_seconds", -1.0, "at least 0"),
+        ("value-iteration", "max_iterations", -1, "at least 0"),
+        ("value-iteration", "policy_bytes", -1, "at least 0"),
+        ("policy-iteration", "max_iterations", 0, "at least 1"),
+        ("thompson", "redraw", 0, "at least 1"),
+    ],
+)
+def test_options_that_cannot_be_meant(name: str, option: str, value: float, allowed: str) -> None:
+    with pytest.raises(ValueError, match=f"{option} must be {allowed}.*, not {value}"):
+        load_solver(name)(**{option: value})

@@ -13,6 +13,7 @@ import numpy as np
 
 from menid_plan.mdp.model import MDP, Bools, Floats, Ints, SmallInts
 from menid_plan.solving import Objective, Progress, Solution, Status, UnsupportedError
+from menid_solvers.options import demand_at_least, demand_positive, demand_share
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix, csr_matrix  # type: ignore[import-untyped]
@@ -42,6 +43,11 @@ class PolicyIteration:
     epsilon: float = 1e-6
     max_iterations: int = 1000
     tie: float = 1e-13
+
+    def __post_init__(self) -> None:
+        demand_positive(epsilon=self.epsilon)
+        demand_share(tie=self.tie)
+        demand_at_least(1, max_iterations=self.max_iterations)
 
     def solve(
         self,

@@ -26,6 +26,7 @@ from menid_plan.solving import (
     Status,
     UnsupportedError,
 )
+from menid_solvers.options import demand_positive, demand_share
 
 MAX_HORIZON = 1_000_000
 
@@ -47,6 +48,10 @@ class Storm:
 
     epsilon: float = 1e-6
     tie: float = 1e-8
+
+    def __post_init__(self) -> None:
+        demand_positive(epsilon=self.epsilon)
+        demand_share(tie=self.tie)
 
     def solve(
         self,

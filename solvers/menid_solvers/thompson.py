@@ -13,6 +13,7 @@ import numpy as np
 
 from menid_plan.mdp.model import Floats, Ints
 from menid_plan.solving import Belief, Solution
+from menid_solvers.options import demand_at_least, demand_positive
 from menid_solvers.value_iteration import ValueIteration
 
 
@@ -87,8 +88,8 @@ class Thompson:
     warm: bool = True
 
     def __post_init__(self) -> None:
-        if self.redraw < 1:
-            raise ValueError("redraw must be at least 1")
+        demand_at_least(1, redraw=self.redraw)
+        demand_positive(epsilon=self.epsilon)
 
     def policy(self, belief: Belief, rng: np.random.Generator) -> ThompsonPolicy:
         """A policy for what is believed."""

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 from menid_plan.mdp.model import MDP, Floats
 from menid_plan.solving import Objective, Progress, Solution
+from menid_solvers.options import demand_at_least, demand_positive, demand_share
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +31,12 @@ class ValueIteration:
     policy_bytes: int = 2**28
 
     def __post_init__(self) -> None:
-        if not self.epsilon > 0.0:
-            raise ValueError("epsilon must be above 0")
+        demand_positive(epsilon=self.epsilon)
+        demand_share(tie=self.tie)
+        demand_at_least(
+            0, max_iterations=self.max_iterations, max_seconds=self.max_seconds,
+            policy_bytes=self.policy_bytes,
+        )  # fmt: skip
 
     def solve(
         self,
