@@ -69,15 +69,19 @@ class Planner:
         row = model.row(number, left)
         return None if row < 0 else model.action(row)
 
-    def best(self) -> tuple[GroundAction | None, float]:
-        """The best first action of the problem, and the objective's value, by what was learned.
+    def best(self) -> tuple[GroundAction | None, float, float | None]:
+        """The best first action of the problem by what was learned, its value, and the goal's chance.
 
-        Where nothing was seen, what the domain gives counts; see `learned_domain`.
+        The last is the probability of the goal, None where the objective is another one than
+        goal-then-reward. Where nothing was seen, what the domain gives counts; see `learned_domain`.
         """
         model, number = self._model(frozenset(self.problem.init))
         solution = model.solved(model.posterior.learned())
-        row = _row(solution, number, None)
-        return (None if row < 0 else model.action(row)), solution.value
+        row, chances = _row(solution, number, None), solution.goal_probability
+        action = None if row < 0 else model.action(row)
+        if self.objective != "goal-then-reward" or chances is None:
+            return action, solution.value, None
+        return action, solution.value, float(chances[number])
 
     def learned(self) -> None:
         """Beliefs have changed."""

@@ -162,20 +162,8 @@ class Run:
             replace_file(self.folder / LEARNED, learned.encode())
 
     def best(self) -> tuple[GroundAction | None, float, float | None]:
-        """The best first action by what was learned, its value, and the probability of the goal.
-
-        The last is None where the objective is another one than goal-then-reward.
-        """
-        action, value = self.planner.best()
-        return action, value, self._goal_probability()
-
-    def _goal_probability(self) -> float | None:
-        if self.planner.objective != "goal-then-reward":
-            return None
-        model, _ = self.planner._model(frozenset(self.bound.problem.init))
-        found = model.solved(model.posterior.learned())
-        chances = found.goal_probability
-        return None if chances is None else float(chances[found.initial])
+        """The best first action by what was learned; see `Planner.best`."""
+        return self.planner.best()
 
     @property
     def failed(self) -> Mapping[str, int]:
