@@ -122,19 +122,26 @@ def _action(task: Task, solution: Solution) -> str | None:
     return None if chosen < 0 else str(task.action(chosen))
 
 
+def _goal(solution: Solution) -> float | None:
+    """The probability of the goal under the best policy, if it is known and there is a goal."""
+    chances = solution.goal_probability
+    if chances is None or solution.status != "solved":
+        return None
+    return float(chances[solution.initial])
+
+
 def _result(task: Task, solution: Solution, startup: float) -> dict[str, Any]:
     """What is printed, by the keys of the JSON."""
     from menid_plan.policy import known_value
 
-    first = solution.initial
-    goal = solution.goal_probability
+    first, goal = solution.initial, _goal(solution)
     return {
         "status": solution.status,
         "objective": solution.objective,
         "value": number_json(known_value(solution)),
         "lower": number_json(float(solution.lower[first])),
         "upper": number_json(float(solution.upper[first])),
-        "goal_probability": None if goal is None else number_json(float(goal[first])),
+        "goal_probability": None if goal is None else number_json(goal),
         "states": task.structure.states,
         "transitions": len(task.structure.next_state),
         "iterations": solution.iterations,
@@ -175,7 +182,7 @@ def _written(
 def _show(task: Task, solution: Solution, startup: float) -> None:
     from menid_plan.policy import known_value
 
-    first, goal = solution.initial, solution.goal_probability
+    first, goal = solution.initial, _goal(solution)
     status = f"{solution.status}: {solution.message}" if solution.message else solution.status
     low, high = float(solution.lower[first]), float(solution.upper[first])
     click.echo(f"status            {status}")
@@ -185,7 +192,7 @@ def _show(task: Task, solution: Solution, startup: float) -> None:
         f"between {number_text(low)} and {number_text(high)}"
     )
     if goal is not None:
-        click.echo(f"goal probability  {number_text(float(goal[first]), '.6g')}")
+        click.echo(f"goal probability  {number_text(goal, '.6g')}")
     click.echo(f"first action      {_action(task, solution) or 'none'}")
     structure = task.structure
     click.echo(
