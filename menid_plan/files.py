@@ -10,20 +10,23 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
+_TEMPORARY = ".menid."
+
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
     """A stream for the new content of a file, which is there when the block ends without an error.
 
     What is not a file, as a pipe or a device, is written to then. A new file has the usual
-    permissions, an old one keeps its own; a link stays a link. OSError names ``path``.
+    permissions, an old one keeps its own; a link stays a link. OSError names ``path``, or the file
+    with which something was wrong in the block.
     """
     target = path.resolve()
     special = target.exists() and not target.is_file()
     mode = stat.S_IMODE(target.stat().st_mode) if target.is_file() else 0o666 & ~_umask()
     try:
         folder = None if special else target.parent
-        handle, name = tempfile.mkstemp(prefix=".menid.", dir=folder)
+        handle, name = tempfile.mkstemp(prefix=_TEMPORARY, dir=folder)
         try:
             with os.fdopen(handle, "wb") as stream:
                 yield stream
@@ -39,6 +42,9 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
             with suppress(FileNotFoundError):
                 os.unlink(name)
     except OSError as error:
+        named = Path(error.filename or target)
+        if named != target and not named.name.startswith(_TEMPORARY):
+            raise
         raise OSError(error.errno, error.strerror, str(path)) from error
 
 

@@ -73,18 +73,30 @@ class Task:
         self.noise: Noise = noise
         self.max_states = max_states
         self.structure: Structure
-        self.mdp: MDP
         self.chances: Floats
+        self._mdp: MDP | None = None
 
     def build(self, progress: Progress | None = None) -> MDP:
         """Ground, explore what happens in the environment, and fill in its probabilities."""
+        self.explore(progress)
+        return self.mdp
+
+    def explore(self, progress: Progress | None = None) -> Structure:
+        """Ground, and explore what happens in the environment."""
         compiled = ground(self.domain, self.problem, self.params)
         self.chances, happens = written(compiled, self.environment)
         self.structure = explore(
             compiled, happens, noise=self.noise, max_states=self.max_states, progress=progress
         )
-        self.mdp = self.structure.fill(self.chances)
-        return self.mdp
+        self._mdp = None
+        return self.structure
+
+    @property
+    def mdp(self) -> MDP:
+        """What was explored, with the probabilities of the environment; filled in when first asked."""
+        if self._mdp is None:
+            self._mdp = self.structure.fill(self.chances)
+        return self._mdp
 
     @property
     def objective(self) -> Objective:

@@ -23,6 +23,7 @@ ALLOWED = {
     "language": {"source", "errors", "resources", "model"},
     "grounding": {"source", "errors", "model"},
     "files": set(),
+    "interrupts": set(),
     "compiled": {"files"},
     "experience": {"source", "errors", "model", "grounding", "language"},
     "environments": {"source", "errors", "model", "grounding", "language", "mdp", "experience"},
@@ -33,7 +34,7 @@ ALLOWED = {
     "policy": {"errors", "grounding", "mdp", "solving", "simulation"},
     "policy_file": {"errors", "language", "grounding", "model", "solving", "policy"},
     "planning": {"errors", "model", "grounding", "mdp", "solving", "policy", "simulation"},
-    "exchange": {"source", "errors", "model", "grounding", "mdp", "solving", "policy"},
+    "exchange": {"source", "errors", "model", "grounding", "mdp", "solving", "policy", "files"},
     "learning": {
         "source",
         "errors",
@@ -46,6 +47,7 @@ ALLOWED = {
         "experience",
         "environments",
         "files",
+        "interrupts",
     },
     "studies": {"errors", "model", "grounding", "mdp", "solving", "experience", "environments"}
     | {"planning", "simulation", "learning"},
@@ -68,6 +70,7 @@ ALLOWED = {
         "learning",
         "studies",
         "files",
+        "interrupts",
     },
 }
 # Which packages from elsewhere are imported in one place only.

@@ -127,3 +127,36 @@ def test_storm_reads_the_drn_file(menid: Menid, tmp_path: Path) -> None:
     assert model.nr_states == 80
     (formula,) = stormpy.parse_properties('Pmax=? [F "goal"]')
     assert stormpy.model_checking(model, formula).get_value(0) == pytest.approx(1)
+
+
+def test_all_files_of_a_model_are_written_or_none(menid: Menid, tmp_path: Path) -> None:
+    (tmp_path / "out.tra").write_text("a model")
+    (tmp_path / "out.trew").mkdir()
+    result = menid("ground", TRIANGLE, "-o", "out")
+    assert result.exit_code == 2
+    assert "out.trew" in result.output
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.tra", "out.trew"]
+    assert (tmp_path / "out.tra").read_text() == "a model"
+
+
+@pytest.mark.parametrize("name", [".", "/", "there", "there/"])
+def test_a_folder_is_no_name_of_a_model(menid: Menid, tmp_path: Path, name: str) -> None:
+    (tmp_path / "there").mkdir()
+    result = menid("ground", TRIANGLE, "-o", name)
+    assert result.exit_code == 2
+    assert "is no name of a file" in result.output
+    assert [path.name for path in tmp_path.iterdir()] == ["there"]
+
+
+def test_a_folder_that_is_not_there_is_told_before_the_search(
+    menid: Menid, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr("menid_plan.planning.explore")
+    result = menid("ground", TRIANGLE, "-o", "nowhere/out")
+    assert result.exit_code == 2
+    assert "there is no folder `nowhere`" in result.output
+
+
+def test_the_ending_drn_may_be_in_capitals(menid: Menid, tmp_path: Path) -> None:
+    assert menid("ground", TRIANGLE, "-o", "model.DRN").exit_code == 0
+    assert (tmp_path / "model.DRN").read_text().startswith("@type: MDP")

@@ -10,22 +10,12 @@ from typing import Any
 
 import click
 
-from menid_plan.cli.common import json_option, load_both, setting_option
-from menid_plan.cli.tasks import Display, files_argument, max_states_option, tell_written
-from menid_plan.errors import LimitError
+from menid_plan.cli.common import distinct_outputs, json_option, load_both
+from menid_plan.cli.tasks import Display, TaskOptions, explore, task_options, tell_written
 
 
 @click.command("ground")
-@files_argument
-@click.option(
-    "--env", "environment", metavar="NAME", help="The environment; by default the target."
-)
-@setting_option
-@click.option(
-    "--noise", type=click.Choice(["stay", "sink"]), default="stay", show_default=True,
-    help="Where the noise outcome leads: nowhere, or to an absorbing state.",
-)  # fmt: skip
-@max_states_option
+@task_options
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path),
     help="Write the model: NAME.drn as DRN, else NAME.tra, .sta, .lab, .srew, .trew.",
@@ -33,10 +23,7 @@ from menid_plan.errors import LimitError
 @json_option
 def command(
     files: tuple[str, ...],
-    environment: str | None,
-    settings: dict[str, float],
-    noise: str,
-    max_states: int,
+    which: TaskOptions,
     output: Path | None,
     as_json: bool,
 ) -> None:
@@ -47,27 +34,18 @@ def command(
 
     Prints the number of facts, ground rules, states, transitions and dead ends, and what it took.
     """
-    if output is not None and not output.name:
+    if output is not None and (not output.name or output.is_dir()):
         raise click.UsageError(f"`{output}` is no name of a file")
     domain, problem = load_both(files)
     start = time.perf_counter()
-    from menid_plan.exchange.explicit import write_drn, write_prism
-    from menid_plan.grounding.ground import ground
-    from menid_plan.mdp.explore import explore
-    from menid_plan.mdp.probabilities import written
+    from menid_plan.exchange.explicit import model_paths, write_model
 
+    paths = [] if output is None else model_paths(output)
+    distinct_outputs(files, *paths)
+    task = which.task(domain, problem)
     startup = time.perf_counter() - start
-    compiled = ground(domain, problem, settings)
-    chances, happens = written(compiled, environment or domain.target)
-    display = Display()
-    try:
-        with display.during("exploring"):
-            structure = explore(
-                compiled, happens, noise="sink" if noise == "sink" else "stay",
-                max_states=max_states, progress=display.exploring,
-            )  # fmt: skip
-    except KeyboardInterrupt:
-        raise LimitError(f"interrupted while exploring: {display.found}") from None
+    explore(task, Display())
+    structure, compiled = task.structure, task.structure.problem
     result: dict[str, Any] = {
         "facts": len(compiled.facts),
         "rules": len(compiled.rules),
@@ -80,14 +58,8 @@ def command(
         "seconds": {"startup": startup, "ground": compiled.seconds, "explore": structure.seconds},
         "megabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }
-    paths: list[Path] = []
     if output is not None:
-        mdp = structure.fill(chances)
-        if output.suffix == ".drn":
-            write_drn(structure, mdp, output)
-            paths = [output]
-        else:
-            paths = write_prism(structure, mdp, output)
+        write_model(structure, task.mdp, output)
     if as_json:
         click.echo(json.dumps(result, indent=2))
         tell_written(paths, err=True)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
-import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
@@ -85,7 +83,7 @@ def command(
     table = read.workers if workers is None else replace(read.workers, number=workers)
     view = _View()
     interrupted = False
-    with _terminated_as_interrupted(), prints_to_stderr():
+    with prints_to_stderr():
         try:
             run = Run(
                 output, read.bind(domain, problem, settings), replace(learn, **given), table,
@@ -109,23 +107,6 @@ def command(
     if interrupted:
         click.echo("interrupted; --resume goes on with this run", err=True)
         ctx.exit(6)
-
-
-@contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """Have SIGTERM end a run as Ctrl-C does, with what was learned written."""
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _result(run: Run) -> dict[str, Any]:

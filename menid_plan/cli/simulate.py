@@ -6,7 +6,7 @@ import json
 import math
 import textwrap
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,11 +15,13 @@ import click
 from menid_plan.cli.common import json_option, load_both
 from menid_plan.cli.tasks import (
     Display,
-    build,
+    SolvingOptions,
+    TaskOptions,
+    explore,
     number_json,
     number_text,
     solve,
-    solver_options,
+    solving_options,
     task_options,
 )
 from menid_plan.errors import LimitError
@@ -62,6 +64,7 @@ class _Plan:
 
 @click.command("simulate")
 @task_options
+@solving_options
 @click.option(
     "--policy", "source", required=True, metavar="FILE|SOLVER",
     help="A policy that `menid solve -o` wrote, or the name of a solver.",
@@ -82,16 +85,9 @@ class _Plan:
 def command(
     ctx: click.Context,
     files: tuple[str, ...],
-    environment: str | None,
-    settings: dict[str, float],
-    noise: str | None,
-    objective: Objective | None,
+    which: TaskOptions,
+    how: SolvingOptions,
     source: str,
-    epsilon: float | None,
-    max_iterations: int | None,
-    max_seconds: float | None,
-    written: dict[str, str],
-    max_states: int,
     episodes: int,
     seed: int,
     max_steps: int | None,
@@ -109,31 +105,28 @@ def command(
     domain, problem = load_both(files)
     import numpy as np
 
-    from menid_plan.planning import Task
-
-    options = {"epsilon": epsilon, "max_iterations": max_iterations, "max_seconds": max_seconds}
     policy = None
+    options: dict[str, Any] = {}
     if _is_solver(source):
-        options = solver_options(source, written, **options)
+        options = how.of_solver(source)
     else:
-        for name, value in {**options, "option": written or None}.items():
+        for name, value in {**how.common, "option": how.written or None}.items():
             if value is not None:
                 option = name.replace("_", "-")
                 raise click.UsageError(f"--{option} is for a solver; `{source}` is a file")
         policy = _read(source, domain, problem)
-        environment = environment or policy.environment
-        settings = {**policy.params, **settings}
-        noise = noise or policy.noise
-    task = Task(
-        domain, problem, environment, settings, "sink" if noise == "sink" else "stay", max_states
-    )
+        which = replace(
+            which, environment=which.environment or policy.environment,
+            settings={**policy.params, **which.settings}, noise=which.noise or policy.noise,
+        )  # fmt: skip
+    task = which.task(domain, problem)
     rng = np.random.default_rng(seed)
     display = Display()
     if policy is not None:
-        build(task, display)
-        plan = _of_file(task, policy, source, objective)
+        explore(task, display)
+        plan = _of_file(task, policy, source, how.objective)
     else:
-        plan = _of_solver(task, source, objective, options, rng, display)
+        plan = _of_solver(task, source, how.objective, options, rng, display)
     solution = plan.solution
     if solution is not None and float(solution.lower[solution.initial]) == math.inf:
         # Of rewards without bound, or a goal that is never sure; where all is lost any policy will do.
@@ -212,11 +205,11 @@ def _of_solver(
     wanted = objective or task.objective
     if not hasattr(load_solver(name), "solve"):
         deciding = task.online_solver(name, **options)
-        build(task, display)
+        explore(task, display)
         policy = online(task.online_policy(deciding, rng, wanted))
         return _Plan(policy, f"{name}, for {wanted}, decides step by step", wanted)
     solver = task.solver(name, **options)
-    build(task, display)
+    explore(task, display)
     solution = solve(task, solver, wanted, display)
     steps = task.mdp.horizon
     if steps and solution.steps is None and solution.status == "solved":

@@ -10,28 +10,32 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from menid_plan.cli.common import distinct_outputs, json_option, load_both, opened, replace_file
+from menid_plan.cli.common import distinct_outputs, json_option, load_both, opened
 from menid_plan.cli.tasks import (
     Display,
-    build,
+    SolvingOptions,
+    TaskOptions,
+    explore,
     number_json,
     number_text,
     solve,
-    solver_options,
+    solving_options,
     task_options,
     tell_written,
 )
 from menid_plan.errors import MenidError
+from menid_plan.files import replace_file
 
 if TYPE_CHECKING:
     from menid_plan.planning import Task
-    from menid_plan.solving import Objective, Solution
+    from menid_plan.solving import Solution
 
 _file = click.Path(dir_okay=False, path_type=Path)
 
 
 @click.command("solve")
 @task_options
+@solving_options
 @click.option("--solver", "name", default="value-iteration", show_default=True, metavar="NAME")
 @click.option(
     "-o", "--output", type=_file,
@@ -46,16 +50,9 @@ _file = click.Path(dir_okay=False, path_type=Path)
 def command(
     ctx: click.Context,
     files: tuple[str, ...],
-    environment: str | None,
-    settings: dict[str, float],
-    noise: str | None,
-    objective: Objective | None,
+    which: TaskOptions,
+    how: SolvingOptions,
     name: str,
-    epsilon: float | None,
-    max_iterations: int | None,
-    max_seconds: float | None,
-    written: dict[str, str],
-    max_states: int,
     output: Path | None,
     dot: Path | None,
     png: Path | None,
@@ -72,23 +69,17 @@ def command(
     domain, problem = load_both(files)
     begin = time.perf_counter()
     from menid_plan.mdp.explore import warm
-    from menid_plan.planning import Task
 
     distinct_outputs(files, output, dot, png)
-    task = Task(
-        domain, problem, environment, settings, "sink" if noise == "sink" else "stay", max_states
-    )
-    options = solver_options(
-        name, written, epsilon=epsilon, max_iterations=max_iterations, max_seconds=max_seconds
-    )
-    solver = task.solver(name, **options)
+    task = which.task(domain, problem)
+    solver = task.solver(name, **how.of_solver(name))
     display = Display()
     with display.during("starting"):
         warm()
         task.warm(solver)
     startup = time.perf_counter() - begin
-    build(task, display)
-    solution = solve(task, solver, objective, display)
+    explore(task, display)
+    solution = solve(task, solver, how.objective, display)
     paths: list[Path] = []
     failure = None
     try:  # files first: who reads our output may leave early

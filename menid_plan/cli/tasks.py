@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from types import UnionType
-from typing import TYPE_CHECKING, Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import click
 
 from menid_plan.cli.common import existing_file, setting_option
 from menid_plan.errors import LimitError
+from menid_plan.interrupts import Interrupts
 
 if TYPE_CHECKING:
+    from menid_plan.grounding.semantics import Noise
+    from menid_plan.model.domain import Domain, Problem
     from menid_plan.planning import Task
     from menid_plan.solving import Objective, Solution, Solver
 
@@ -48,47 +52,101 @@ def _pairs(
     return found
 
 
+@dataclass(frozen=True, slots=True)
+class TaskOptions:
+    """Which task it is, beside its domain and problem; None stands for what is usual."""
+
+    environment: str | None
+    settings: dict[str, float]
+    noise: Noise | None
+    max_states: int
+
+    def task(self, domain: Domain, problem: Problem) -> Task:
+        """The task of a domain and a problem."""
+        from menid_plan.planning import Task
+
+        noise = self.noise or "stay"
+        return Task(domain, problem, self.environment, self.settings, noise, self.max_states)
+
+
+@dataclass(frozen=True, slots=True)
+class SolvingOptions:
+    """What is best, and how it is found; ``written`` are the solver's options by --option."""
+
+    objective: Objective | None
+    epsilon: float | None
+    max_iterations: int | None
+    max_seconds: float | None
+    written: dict[str, str]
+
+    @property
+    def common(self) -> dict[str, Any]:
+        """The options that every solver has."""
+        names = ("epsilon", "max_iterations", "max_seconds")
+        return {name: getattr(self, name) for name in names}
+
+    def of_solver(self, name: str) -> dict[str, Any]:
+        """The options of a solver, None where they are not given; see `solver_options`."""
+        return solver_options(name, self.written, **self.common)
+
+
 def files_argument(function: _Command) -> _Command:
     """The argument DOMAIN PROBLEM."""
     argument = click.argument("files", nargs=-1, required=True, type=existing_file, metavar=FILES)
     return argument(function)
 
 
-def max_states_option(function: _Command) -> _Command:
-    """The option --max-states."""
-    option = click.option(
-        "--max-states", type=click.IntRange(1), default=50_000_000, show_default=True, metavar="N",
-        help="Stop where more states than that can be reached. They are counted after every stretch "
-        "of some thousand, so that a few more may have been found by then.",
-    )  # fmt: skip
-    return option(function)
-
-
 def task_options(function: _Command) -> _Command:
-    """DOMAIN PROBLEM, and the options of which task it is and how it is solved."""
+    """DOMAIN PROBLEM, and options that the command gets as ``which``, TaskOptions."""
+    return _gathered(
+        function, "which", TaskOptions,
+        files_argument,
+        click.option("--env", "environment", metavar="NAME",
+                     help="The environment; by default the target."),
+        setting_option,
+        click.option("--noise", type=click.Choice(["stay", "sink"]), show_default="stay",
+                     help="Where the noise outcome leads: nowhere, or to an absorbing state."),
+        click.option("--max-states", type=click.IntRange(1), default=50_000_000, show_default=True,
+                     metavar="N",
+                     help="Stop where more states than that can be reached. They are counted after "
+                     "every stretch of some thousand, so that a few more may have been found by "
+                     "then."),
+    )  # fmt: skip
+
+
+def solving_options(function: _Command) -> _Command:
+    """Options that the command gets as ``how``, SolvingOptions."""
     positive = click.FloatRange(0, min_open=True)
-    for decorate in (
-        max_states_option,
+    return _gathered(
+        function, "how", SolvingOptions,
+        click.option("--objective", type=click.Choice(OBJECTIVES),
+                     help="What is best; by default as the problem has it."),
+        click.option("--epsilon", type=positive, callback=_finite, show_default="1e-6",
+                     help="How far apart the bounds may be."),
+        click.option("--max-iterations", type=click.IntRange(1), metavar="N",
+                     help="Stop solving after so many iterations of the solver."),
+        click.option("--max-seconds", type=positive, callback=_finite, metavar="S",
+                     help="Stop solving after so many seconds."),
         click.option("--option", "written", multiple=True, callback=_pairs, metavar="NAME=VALUE",
                      help="Set an option of the solver, as `menid solvers` lists them; may be given "
                      "more than once."),
-        click.option("--max-seconds", type=positive, callback=_finite, metavar="S",
-                     help="Stop solving after so many seconds."),
-        click.option("--max-iterations", type=click.IntRange(1), metavar="N",
-                     help="Stop solving after so many iterations of the solver."),
-        click.option("--epsilon", type=positive, callback=_finite, show_default="1e-6",
-                     help="How far apart the bounds may be."),
-        click.option("--objective", type=click.Choice(OBJECTIVES),
-                     help="What is best; by default as the problem has it."),
-        click.option("--noise", type=click.Choice(["stay", "sink"]), show_default="stay",
-                     help="Where the noise outcome leads: nowhere, or to an absorbing state."),
-        setting_option,
-        click.option("--env", "environment", metavar="NAME",
-                     help="The environment; by default the target."),
-        files_argument,
-    ):  # fmt: skip
-        function = decorate(function)
-    return function
+    )  # fmt: skip
+
+
+def _gathered(
+    function: _Command, name: str, kind: type, *options: Callable[[Any], Any]
+) -> _Command:
+    """A command with these options, of which it gets those that are fields of ``kind`` in one."""
+
+    @functools.wraps(function)
+    def gathering(*arguments: Any, **given: Any) -> Any:
+        made = kind(**{field.name: given.pop(field.name) for field in fields(kind)})
+        return function(*arguments, **given, **{name: made})
+
+    command: Any = gathering
+    for option in reversed(options):
+        command = option(command)
+    return cast("_Command", command)
 
 
 def solver_options(name: str, written: dict[str, str], **common: Any) -> dict[str, Any]:
@@ -251,11 +309,18 @@ class Display:
         return f"{self._text}, {now - self._begin:.1f} s"
 
 
-def build(task: Task, display: Display) -> None:
+def explore(task: Task, display: Display) -> None:
     """Ground and explore; LimitError says how far it came if it is interrupted."""
+    interrupts = Interrupts()
+
+    def told(*found: int) -> None:
+        display.exploring(*found)
+        interrupts.check()
+
     try:
-        with display.during("grounding"):
-            task.build(display.exploring)
+        # Nothing is kept of what is under way, so that it may break off anywhere.
+        with interrupts, display.during("grounding"), interrupts.allowed():
+            task.explore(told)
     except KeyboardInterrupt:
         raise LimitError(f"interrupted while exploring: {display.found}") from None
 
@@ -266,9 +331,15 @@ def solve(task: Task, solver: Solver, objective: Objective | None, display: Disp
     Where the best value is -inf the status is ``infeasible``, as it is for endless ``steps``.
     """
     begin = time.perf_counter()
+    interrupts = Interrupts()
+
+    def told(iterations: int, lower: float, upper: float) -> None:
+        display.solving(iterations, lower, upper)
+        interrupts.check()
+
     try:
-        with display.during("solving"):
-            solution = task.solve(solver, objective, display.solving)
+        with interrupts, display.during("solving"):
+            solution = task.solve(solver, objective, told)
     except KeyboardInterrupt:  # a solver that can say more catches it itself
         import numpy as np
 

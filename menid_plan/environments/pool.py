@@ -235,6 +235,11 @@ class Pool:
         return max(1, len(self._lanes))
 
     @property
+    def in_place(self) -> bool:
+        """Whether tasks are executed in this process, at once when they are submitted."""
+        return self._here is not None
+
+    @property
     def counts(self) -> Mapping[str, Counts]:
         """What happened so far, by environment."""
         with self._changed:

@@ -9,37 +9,41 @@ A state that ends an episode gets one choice that stays there, since these tools
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import io
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 
+from menid_plan.files import replacing
 from menid_plan.grounding.state import SINK, NextState
 from menid_plan.mdp.explore import Structure
 from menid_plan.mdp.model import MDP
 
 
-def write_prism(structure: Structure, mdp: MDP, base: Path) -> list[Path]:
-    """Write BASE.tra, .sta, .lab, .srew and .trew; the paths written."""
-    written = []
-    for suffix, lines in (
-        (".tra", _tra(structure, mdp)),
-        (".sta", _sta(structure)),
-        (".lab", _lab(structure)),
-        (".srew", _srew(structure)),
-        (".trew", _trew(structure, mdp)),
-    ):
-        path = base.with_name(base.name + suffix)
-        with path.open("w", encoding="ascii") as file:
-            file.writelines(f"{line}\n" for line in lines)
-        written.append(path)
-    return written
+def model_paths(base: Path) -> list[Path]:
+    """The files in which a model is written: BASE if that is ``.drn``, else BASE.tra and so on."""
+    if _is_drn(base):
+        return [base]
+    return [base.with_name(base.name + suffix) for suffix in _PRISM]
 
 
-def write_drn(structure: Structure, mdp: MDP, path: Path) -> None:
-    """Write the model as DRN; its reward model `reward` has what each choice pays on average."""
-    with path.open("w", encoding="ascii") as file:
-        file.writelines(f"{line}\n" for line in _drn(structure, mdp))
+def write_model(structure: Structure, mdp: MDP, base: Path) -> None:
+    """Write the model to `model_paths`, as DRN or in PRISM's files: all of them or none.
+
+    The reward model ``reward`` in DRN has what each choice pays on average.
+    """
+    formats = [_drn] if _is_drn(base) else list(_PRISM.values())
+    with ExitStack() as written:
+        for path, lines in zip(model_paths(base), formats, strict=True):
+            stream = io.TextIOWrapper(written.enter_context(replacing(path)), "ascii")
+            stream.writelines(f"{line}\n" for line in lines(structure, mdp))
+            stream.detach()
+
+
+def _is_drn(base: Path) -> bool:
+    return base.suffix.lower() == ".drn"
 
 
 def _choices(mdp: MDP, state: int) -> range:
@@ -74,7 +78,7 @@ def _tra(structure: Structure, mdp: MDP) -> Iterator[str]:
                 yield f"{state} {choice} {successor} {chance!r} {name}"
 
 
-def _sta(structure: Structure) -> Iterator[str]:
+def _sta(structure: Structure, mdp: MDP) -> Iterator[str]:  # noqa: ARG001
     names = [
         "_".join((f.predicate, *f.arguments)).replace("-", "_") for f in structure.problem.facts
     ]
@@ -86,7 +90,7 @@ def _sta(structure: Structure) -> Iterator[str]:
         yield f"{number}:({','.join(bits)})"
 
 
-def _lab(structure: Structure) -> Iterator[str]:
+def _lab(structure: Structure, mdp: MDP) -> Iterator[str]:  # noqa: ARG001
     yield '0="init" 1="deadlock" 2="goal" 3="dead_end"'
     dead_end = structure.dead_end
     for number in range(structure.states):
@@ -101,7 +105,7 @@ def _lab(structure: Structure) -> Iterator[str]:
             yield f"{number}: {' '.join(labels)}"
 
 
-def _srew(structure: Structure) -> Iterator[str]:
+def _srew(structure: Structure, mdp: MDP) -> Iterator[str]:  # noqa: ARG001
     """What a step pays for the state it is taken in; nothing where an episode ends."""
     taken = np.flatnonzero((np.diff(structure.state_row) > 0) & (structure.state_reward != 0))
     yield f"{structure.states} {len(taken)}"
@@ -152,3 +156,8 @@ def _drn(structure: Structure, mdp: MDP) -> Iterator[str]:
             yield f"\taction {_name(structure, row)} [{float(mdp.row_reward[row])!r}]"
             for successor, chance in _merged(mdp, row):
                 yield f"\t\t{successor} : {chance!r}"
+
+
+_PRISM: dict[str, Callable[[Structure, MDP], Iterator[str]]] = {
+    ".tra": _tra, ".sta": _sta, ".lab": _lab, ".srew": _srew, ".trew": _trew,
+}  # fmt: skip

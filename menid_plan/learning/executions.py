@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Sequence
-from contextlib import suppress
+from concurrent.futures import wait
+from contextlib import nullcontext, suppress
 
 from menid_plan.environments.interface import (
     CannotResetError,
@@ -22,6 +23,7 @@ from menid_plan.experience.attribution import Attributor
 from menid_plan.experience.record import DistributionKey, Experience
 from menid_plan.experience.store import Store
 from menid_plan.grounding.state import GroundAction, State, state_text
+from menid_plan.interrupts import Interrupts
 from menid_plan.learning.counts import Evidence
 from menid_plan.learning.events import Events, Reason
 from menid_plan.learning.replay import Replay
@@ -29,6 +31,9 @@ from menid_plan.learning.replay import Replay
 # Seconds for which tests may be held back before they are stored: what a kill costs at most, beside
 # the executions that are under way.
 SAVE_EVERY = 1.0
+
+# Seconds after which an interrupt is noticed while workers execute something.
+_NOTICED = 0.1
 
 
 class BrokenOffError(MenidError):
@@ -42,6 +47,7 @@ class Executions:
     target (run, target, k); so the same is seen in any number of workers. Results are taken in order
     of k, surplus ones are dropped. ``reported`` is told of each attempt that failed, from any
     thread. ``tests`` says whether there will be tests: without, no test environment is touched.
+    ``interrupts`` are answered between two executions, and while one is under way.
     """
 
     def __init__(
@@ -55,6 +61,7 @@ class Executions:
         workers: WorkersTable,
         *,
         tests: bool = True,
+        interrupts: Interrupts | None = None,
         reported: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.replay = Replay(store, store.path)
@@ -67,6 +74,7 @@ class Executions:
         self._store = store
         self._events = events
         self._reported = reported
+        self._interrupts = interrupts or Interrupts()
         self._tested: Counter[tuple[str, GroundAction]] = Counter()
         self._unsaved: list[Experience] = []
         self._saved_at = time.monotonic()
@@ -97,6 +105,7 @@ class Executions:
         ahead: deque[ExecutionFuture] = deque()
         try:
             while True:
+                self._interrupts.check()
                 number = self._tested[spec.name, action]
                 given_up = self._events.given_up(spec.name, action, number)
                 found = None
@@ -122,7 +131,18 @@ class Executions:
         self, spec: EnvironmentSpec, state: State, action: GroundAction, number: int
     ) -> ExecutionFuture:
         seed = self._test_seed(spec, action, number)
-        return self._pool.submit(spec.name, state, action, seed, number)
+        return self._submit(spec, state, action, seed, number)
+
+    def _submit(
+        self, spec: EnvironmentSpec, state: State, action: GroundAction, seed: int, number: int
+    ) -> ExecutionFuture:
+        with self._interrupts.allowed() if self._pool.in_place else nullcontext():
+            return self._pool.submit(spec.name, state, action, seed, number)
+
+    def _executed(self, future: ExecutionFuture) -> Execution:
+        while not wait([future], _NOTICED).done:
+            self._interrupts.check()
+        return future.result()
 
     def _result(
         self, spec: EnvironmentSpec, future: ExecutionFuture
@@ -130,7 +150,7 @@ class Executions:
         """What a test gave, or why it gave nothing."""
         task, number = future.task, future.number
         try:
-            execution = future.result()
+            execution = self._executed(future)
         except EnvironmentFailedError as error:
             self.save()  # what came before must be stored before it is known what comes after
             impossible = isinstance(error, CannotResetError)
@@ -173,7 +193,9 @@ class Executions:
             return first
         self._in_place = True
         seed = seed_of(self._seed, self._target.name, "reset", number)
-        return self._open_target().reset(None, seed)
+        target = self._open_target()
+        with self._interrupts.allowed():
+            return target.reset(None, seed)
 
     def step(self, state: State, action: GroundAction, number: int) -> Experience:
         """Execute an action in the target, as step ``number`` of the run; it is stored at once.
@@ -187,11 +209,13 @@ class Executions:
         found = self.replay.take(spec.name, state, action, number, seed)
         if found is not None:
             return found
+        self._interrupts.check()
         if self._is_repeatable():
-            execution = self._pool.submit(spec.name, state, action, seed, number).result()
+            execution = self._executed(self._submit(spec, state, action, seed, number))
         else:
-            self._put_back(state, number)
-            execution = self._open_target().execute(action)
+            with self._interrupts.allowed():
+                self._put_back(state, number)
+                execution = self._open_target().execute(action)
         found = self._experience(spec, state, action, execution, seed, number)
         self._store.add([found])
         return found
@@ -231,7 +255,8 @@ class Executions:
 
     def _open_target(self) -> Session:
         if self._session is None:
-            self._session = self._target.open()
+            with self._interrupts.allowed():
+                self._session = self._target.open()
         return self._session
 
     def _leave(self) -> None:

@@ -24,6 +24,7 @@ from menid_plan.experience.attribution import Attributor
 from menid_plan.experience.store import Store, StoreError, StoreInputError
 from menid_plan.files import replace_file
 from menid_plan.grounding.state import GroundAction
+from menid_plan.interrupts import Interrupts
 from menid_plan.language.write import write
 from menid_plan.learning.clock import Clock, RealClock, VirtualClock
 from menid_plan.learning.counts import Evidence, learned_domain
@@ -109,9 +110,10 @@ class Run:
             clock: Clock = VirtualClock()
             if settings.clock == "real":
                 clock = RealClock(self._curve.times())
+            self._interrupts = Interrupts()
             executions = Executions(
                 bound, settings.seed, attributor, self.evidence, self.store, self.events, workers,
-                tests=settings.test_time > 0.0, reported=reported,
+                tests=settings.test_time > 0.0, interrupts=self._interrupts, reported=reported,
             )  # fmt: skip
             opened.callback(executions.close)
             self.loop = Loop(
@@ -127,10 +129,10 @@ class Run:
     def learn(self) -> Progress:
         """Learn to the end of the run; what was learned is written however it ends.
 
-        Raises FolderError or StoreError where the disk fails, KeyboardInterrupt, and whatever the
-        target or the domain give reason to. A run can be resumed after any of these.
+        Raises FolderError or StoreError where the disk fails, KeyboardInterrupt (for SIGTERM, too), and
+        whatever the target or the domain give reason to. A run can be resumed after any of these.
         """
-        with self._opened:
+        with self._opened, self._interrupts:
             self._event("resumes" if self.resumed else "starts", stored=len(self.store))
             try:
                 self.loop.run()
