@@ -383,9 +383,14 @@ def test_a_mean_without_spread_is_told_beside_the_value(menid: Menid, tmp_path: 
 
 def test_values_of_files_that_are_infinite_or_not_known(menid: Menid, tmp_path: Path) -> None:
     text = "domain d action a { rule r { outcomes { o: 1 nothing reward R } } } problem t for d"
+    file = tmp_path / "p.json"
+    (tmp_path / "a.menid").write_text(text.replace("R", "-1") + " discount 0.5")
+    assert menid("solve", "a.menid", "-o", "p.json").exit_code == 0
+    known = json.loads(file.read_text())
     for reward, status, value in (("1", "unbounded", "inf"), ("-1", "infeasible", "-inf")):
         (tmp_path / "a.menid").write_text(text.replace("R", reward))
-        assert menid("solve", "a.menid", "-o", "p.json").exit_code == 1
+        bounds = {"value": value, "lower": value, "upper": value}
+        file.write_text(json.dumps({**known, "status": status, **bounds}))
         simulate = ("simulate", "a.menid", "--policy", "p.json", "--max-steps", "5")
         assert f"value        {value} by the file, for the mean return\n" in menid(*simulate).output
         found = json.loads(menid(*simulate, "--json").output)
@@ -393,9 +398,8 @@ def test_values_of_files_that_are_infinite_or_not_known(menid: Menid, tmp_path: 
     # Where every policy loses for ever any of them may be tried.
     simulate = ("simulate", "a.menid", "--policy", "value-iteration", "--max-steps", "5")
     assert "value        -inf by the solver" in menid(*simulate).output
-    file = tmp_path / "p.json"
-    known = json.loads(file.read_text())
-    file.write_text(json.dumps({**known, "status": "limit", "value": None, "upper": 3}))
+    unsure = {"status": "limit", "value": None, "lower": "-inf", "upper": 3}
+    file.write_text(json.dumps({**known, **unsure}))
     output = menid("simulate", "a.menid", "--policy", "p.json", "--max-steps", "5").output
     assert "p.json, for reward; its solver stopped early\n" in output
     assert "not known by the file, for the mean return, but between -inf and 3\n" in output

@@ -206,9 +206,15 @@ def test_infinite_values_are_words_in_the_text_and_null_in_the_json(
     result = menid("solve", "a.menid", "--json", "-o", "p.json", *arguments)
     assert result.exit_code == code
     found = json.loads(result.stdout, parse_constant=pytest.fail)
-    assert found["status"] == status == json.loads(Path("p.json").read_text())["status"]
+    assert found["status"] == status
     if code == 1:
         assert (found["value"], found["lower"], found["upper"]) == (None, None, None)
+        assert found["action"] is None
+        assert "p.json was not written: no policy is the best\n" in result.stderr
+        assert not Path("p.json").exists()
+    else:
+        assert found["action"] is not None
+        assert json.loads(Path("p.json").read_text())["status"] == status
 
 
 def test_written_files_are_told(menid: Menid) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from menid_plan.mdp.model import MDP, Floats
+from menid_plan.planning import Certain
 from menid_plan.solving import Belief, Objective, OnlinePolicy
 from menid_solvers.thompson import DirichletPosterior, Thompson, ThompsonPolicy
 from solver_reference import build
@@ -71,6 +72,22 @@ def test_draws_are_kept_when_told() -> None:
         True, True, False, True, True,
     ]  # fmt: skip
     assert asked.action(1) == -1
+
+
+def test_who_knows_the_probabilities_solves_once() -> None:
+    asked = policy([[3, 1], [2, 2]])
+    known = Certain(np.array([0.75, 0.25, 0.5, 0.5]))
+    asked.belief = replace(asked.belief, posterior=known)
+    found = [asked.draw() for _ in range(3)]
+    assert found[0] is found[1] is found[2]
+    assert asked.action(0) == 0
+    known.chances[:] = [0.25, 0.75, 0.5, 0.5]
+    asked.learned()
+    assert asked.action(0) == 1
+    # What was stopped is not the last word.
+    known.chances[:] = [0.5, 0.5, 0.75, 0.25]
+    asked.solution = replace(asked.draw(), status="limit")
+    assert asked.draw().status == "solved"
 
 
 def test_the_prior_must_be_positive() -> None:

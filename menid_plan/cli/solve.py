@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 
 _file = click.Path(dir_okay=False, path_type=Path)
 
+# Where rewards have no bound, or the objective can't be met.
+_NOTHING_BEST = ("unbounded", "infeasible")
+
 
 @click.command("solve")
 @task_options
@@ -93,7 +96,7 @@ def command(
     tell_written(paths, err=as_json)
     if failure is not None:
         raise failure
-    if solution.status in ("unbounded", "infeasible"):
+    if solution.status in _NOTHING_BEST:
         ctx.exit(1)
     if solution.status == "limit":
         ctx.exit(6)
@@ -109,6 +112,9 @@ def _seconds(task: Task, solution: Solution, startup: float) -> dict[str, float]
 
 
 def _action(task: Task, solution: Solution) -> str | None:
+    """The best first action; None where nothing is best, or it is not known."""
+    if solution.status in _NOTHING_BEST:
+        return None
     chosen = int(solution.policy[solution.initial])
     return None if chosen < 0 else str(task.action(chosen))
 
@@ -145,10 +151,17 @@ def _written(
     task: Task, solution: Solution, output: Path | None, dot: Path | None, png: Path | None
 ) -> Iterator[Path]:
     """Write the files that are asked for; gives each when it is there."""
-    is_known = solution.status != "limit" or _action(task, solution) is not None
-    if output is not None and not is_known:
-        click.echo(f"{output} was not written: nothing is known of a policy", err=True)
-    elif output is not None:
+    why = ""
+    if solution.status in _NOTHING_BEST:
+        why = "no policy is the best"
+    elif solution.status == "limit" and _action(task, solution) is None:
+        why = "nothing is known of a policy"
+    for path in (output, dot, png):
+        if path is not None and why:
+            click.echo(f"{path} was not written: {why}", err=True)
+    if why:
+        return
+    if output is not None:
         from menid_plan.policy_file import policy_text
 
         with opened(output) as stream:

@@ -105,6 +105,7 @@ class ThompsonPolicy:
     rng: np.random.Generator
     solution: Solution | None = field(default=None, init=False)
     _served: int = field(default=0, init=False)
+    _drawn: Floats = field(default_factory=lambda: np.zeros(0), init=False)
 
     def action(self, state: int, seconds: float | None = None) -> int:
         """The row to take in a state, -1 if there is none; draws and solves a model if one is due."""
@@ -118,15 +119,23 @@ class ThompsonPolicy:
         return int(self.solution.policy[state])
 
     def draw(self, seconds: float | None = None) -> Solution:
-        """Draw a model and solve it, in so many seconds if they are given."""
-        mdp = self.belief.fill(self.belief.posterior.sample(self.rng))
+        """Draw a model and solve it, in so many seconds if they are given.
+
+        One that is drawn again, as by who knows the probabilities, is not solved again.
+        """
+        self._served = 0
+        drawn = self.belief.posterior.sample(self.rng)
+        found, before = self.solution, self._drawn
+        if found is not None and found.status != "limit" and np.array_equal(drawn, before):
+            return found
+        self._drawn = drawn.copy()
+        mdp = self.belief.fill(drawn)
         start = None
         if self.options.warm and self.solution is not None and mdp.horizon is None:
             start = (self.solution.lower + self.solution.upper) / 2
             start = np.nan_to_num(start, posinf=0.0, neginf=0.0)
         solver = ValueIteration(epsilon=self.options.epsilon, max_seconds=seconds)
         self.solution = solver.solve(mdp, self.belief.objective, start=start)
-        self._served = 0
         return self.solution
 
     def learned(self) -> None:
