@@ -119,6 +119,12 @@ class _Reader:
             self._entry(number, entry, fixed) for number, entry in enumerate(states, start=1)
         )
         self._disjoint(entries)
+        value = math.nan if data["value"] is None else self._number(data, "value")
+        lower, upper = self._number(data, "lower"), self._number(data, "upper")
+        if lower > upper or not (math.isnan(value) or lower <= value <= upper):
+            self.fail(
+                "`value` and its bounds: `lower` must not be above `value`, nor that above `upper`"
+            )
         return Policy(
             domain=self.domain.name,
             problem=self.problem.name,
@@ -129,9 +135,9 @@ class _Reader:
             noise=self._one_of(data, "noise", get_args(Noise)),
             objective=self._one_of(data, "objective", get_args(Objective)),
             status=self._one_of(data, "status", get_args(Status)),
-            value=math.nan if data["value"] is None else self._number(data, "value"),
-            lower=self._number(data, "lower"),
-            upper=self._number(data, "upper"),
+            value=value,
+            lower=lower,
+            upper=upper,
             horizon=horizon,
             always=fixed,
             entries=entries,
@@ -139,7 +145,7 @@ class _Reader:
 
     def _data(self, text: str | bytes) -> dict[str, Any]:
         try:
-            data = json.loads(text)
+            data = json.loads(text, parse_constant=self._no_constant)
         except UnicodeDecodeError:
             self.fail("this is no UTF-8 text, and no policy")
         except json.JSONDecodeError as error:
@@ -157,6 +163,9 @@ class _Reader:
         if unknown:
             self.fail(f"a policy has no `{unknown[0]}`")
         return data
+
+    def _no_constant(self, name: str) -> NoReturn:
+        self.fail(f"no JSON: `{name}`; infinities are written as words, NaN as null")
 
     def _identity(self, data: dict[str, Any]) -> None:
         for key, wanted in (("domain", self.domain.name), ("problem", self.problem.name)):

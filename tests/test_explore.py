@@ -184,7 +184,9 @@ def test_missing_probabilities_name_the_rule_and_the_state() -> None:
         "action a { rule one { when not p outcomes { o: p } } } problem t for d init q"
     )
     happens = np.full(problem.slots, 2, np.uint8)
-    with pytest.raises(MeaningError, match=r"rule a\.one has no probabilities, .* the state q"):
+    with pytest.raises(
+        MeaningError, match=r"rule a\.one has no probabilities in .* state q: write"
+    ):
         explore(problem, happens)
 
 

@@ -47,6 +47,8 @@ def _settings(
     found = {}
     for text in values:
         name, _, number = text.partition("=")
+        if name.strip() in found:
+            raise click.BadParameter(f"`{name.strip()}` is set twice")
         try:
             found[name.strip()] = float(number)
         except ValueError:

@@ -83,7 +83,7 @@ class _LazyGroup(click.Group):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             ctx.exit(0)
         except OSError as error:
-            click.echo(f"menid: {error.filename or ''}: {error.strerror or error}", err=True)
+            click.echo(f"menid: {error.filename or 'writing'}: {error.strerror or error}", err=True)
             ctx.exit(2)
 
 

@@ -48,6 +48,8 @@ def _pairs(
         name, equals, value = text.partition("=")
         if not (name.strip() and equals):
             raise click.BadParameter(f"`{text}` is not of the form NAME=VALUE")
+        if name.strip() in found:
+            raise click.BadParameter(f"`{name.strip()}` is set twice")
         found[name.strip()] = value.strip()
     return found
 

@@ -122,8 +122,6 @@ def ground(
         values = param_values(domain, problem, params)
     except EvaluationError as error:
         raise MeaningError(str(error)) from error
-    except KeyError as error:
-        raise MeaningError(f"there is no param `{error.args[0]}`") from error
     work = Instantiation(domain, problem)
     rules = list(work.rules())
     rewards, signals = [], []

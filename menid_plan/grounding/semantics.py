@@ -353,5 +353,3 @@ def _checked_params(
         return param_values(domain, problem, override)
     except EvaluationError as error:
         raise MeaningError(str(error)) from error
-    except KeyError as error:
-        raise MeaningError(f"there is no param `{error.args[0]}`") from error

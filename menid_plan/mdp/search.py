@@ -180,7 +180,8 @@ class Search:
     def _unknown(self, state: int, number: int, _: int) -> MeaningError:
         distribution = self.problem.distributions[self.problem.rule_distribution[number]]
         return MeaningError(
-            f"rule {distribution} has no probabilities, and covers the state {self._state_text(state)}"
+            f"rule {distribution} has no probabilities in this environment, and covers the state "
+            f"{self._state_text(state)}: write a column for it, or learn one with `menid learn`"
         )
 
 

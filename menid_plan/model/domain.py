@@ -155,14 +155,14 @@ def param_values(
 ) -> dict[str, float]:
     """The value of every param: the domain's, set anew by the problem, then by ``override``.
 
-    Raises EvaluationError where an expression has no finite value, KeyError on an unknown name in
-    ``override``.
+    Raises EvaluationError where an expression has no finite value, or ``override`` has another name.
     """
     expressions: dict[str, Expression] = {p.name: p.value for p in domain.params}
     expressions.update({p.name: p.value for p in (problem.params if problem else ())})
     for name, value in (override or {}).items():
         if name not in expressions:
-            raise KeyError(name)
+            known = ", ".join(expressions) or "none"
+            raise EvaluationError(f"there is no param `{name}`; the domain has: {known}")
         if not math.isfinite(value):
             raise EvaluationError(f"param `{name}` is {value}, not a finite number")
         expressions[name] = Number(value)
