@@ -113,6 +113,7 @@ class Episodes:
     are the same without what was paid once the goal was out of reach (None if nobody asked).
     ``steps`` (int64), ``goal`` (bool: it ended in one), ``cut`` (bool: it was still going on after
     ``max_steps``). ``lacking`` bounds what a cut return may lack: inf without discount.
+    ``interrupted``: they were cut since whoever watched raised KeyboardInterrupt.
     """
 
     returns: Floats
@@ -123,6 +124,7 @@ class Episodes:
     max_steps: int
     lacking: float
     traces: Traces | None = None
+    interrupted: bool = False
 
     def of_objective(self, objective: Objective) -> Estimate:
         """The estimate of what the objective's value is the expectation of.
@@ -179,12 +181,15 @@ class Simulator:
         max_steps: int | None = None,
         hopeless: bool = False,
         trace: bool = False,
+        progress: Callable[[int, int], None] | None = None,
     ) -> Episodes:
         """Draw episodes, each of at most ``max_steps`` steps (by default `default_steps`).
 
         Every running episode takes one number of ``rng`` for each step, in the order of the
         episodes. ``hopeless`` also sums what was paid while the goal was within reach; ``trace``
-        keeps every step. Raises MeaningError where the policy has no row.
+        keeps every step. ``progress`` is told before each step how many there were, and how many
+        episodes go on; if it raises KeyboardInterrupt those are cut there. Raises MeaningError where
+        the policy has no row.
         """
         mdp = self.mdp
         most = self.default_steps() if max_steps is None else max_steps
@@ -199,8 +204,16 @@ class Simulator:
         states = np.full(len(running), mdp.initial, np.int64)
         kept: list[tuple[Ints, Ints, Ints, Floats]] = []
         factor = 1.0
+        interrupted = False
         for step in range(last):
             if len(running) == 0:
+                break
+            try:
+                if progress is not None:
+                    progress(step, len(running))
+            except KeyboardInterrupt:
+                most = last = step
+                interrupted = True
                 break
             left = None if mdp.horizon is None else mdp.horizon - step
             rows = choose(states, left)
@@ -227,7 +240,7 @@ class Simulator:
             rest = math.inf if mdp.discount == 1.0 else mdp.discount**last / (1.0 - mdp.discount)
             lacking = self.largest * rest if self.largest else 0.0
         traces = _traces(kept, steps) if trace else None
-        return Episodes(returns, counted, steps, goal, cut, most, lacking, traces)
+        return Episodes(returns, counted, steps, goal, cut, most, lacking, traces, interrupted)
 
     def goal_distance(self) -> Ints:
         """The least number of steps in which the goal can be reached (int64[n]).

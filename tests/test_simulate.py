@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from click.testing import Result
 
 import menid_plan
 from conftest import ROOT
+from menid_plan.cli.tasks import Display
 from menid_plan.errors import MeaningError
 from menid_plan.planning import Task
 from menid_plan.policy import file_chooser
@@ -522,3 +524,28 @@ def test_goal_distance() -> None:
     shown = {", ".join(map(str, sorted(s))): d for s, d in distance.items()}  # type: ignore[arg-type]
     assert shown.pop("broken") > MAX_STEPS
     assert shown == {"here(a)": 2, "here(b)": 1, "here(c)": 0}
+
+
+def test_interrupted_episodes_are_cut(menid: Menid, monkeypatch: pytest.MonkeyPatch) -> None:
+    def simulating(display: Display, steps: int, running: int) -> None:
+        assert running == 20
+        if steps == 7:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(Display, "simulating", simulating)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    text = "domain d action a { rule r { outcomes { o: 1 nothing reward 2 } } } problem t for d "
+    try:
+        for more, left in (("discount 0.5", "; what is left"), ("horizon 9", "; what they")):
+            Path("a.menid").write_text(text + more)
+            arguments = ("simulate", "a.menid", "--policy", "value-iteration", "--episodes", "20")
+            result = menid(*arguments)
+            assert result.exit_code == 6
+            assert result.stderr == "menid: interrupted after 7 steps of every episode\n"
+            assert "steps        7 +- 0\n" in result.stdout
+            assert f"cut          20 after 7 steps{left}" in result.stdout
+            found = json.loads(menid(*arguments, "--json").stdout)
+            assert (found["cut"], found["max_steps"]) == (20, 7)
+        assert found["mean"] == 14
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -25,6 +25,7 @@ from menid_plan.cli.tasks import (
     task_options,
 )
 from menid_plan.errors import LimitError
+from menid_plan.interrupts import Interrupts
 
 if TYPE_CHECKING:
     import numpy as np
@@ -133,16 +134,18 @@ def command(
         click.echo(f"menid: {solution.status}: {solution.message}", err=True)
         ctx.exit(1)
     simulator = task.simulator()
-    drawn = _run(simulator, plan, episodes, rng, max_steps, trace=trace)
+    drawn = _run(simulator, plan, episodes, rng, max_steps, display, trace=trace)
     if as_json:
         click.echo(json.dumps(_result(task, plan, drawn, seed), indent=2))
-        return
-    if trace:
-        for line in _traces_text(task, drawn):
-            click.echo(line)
-    for name, text in _summary(task, plan, drawn, seed):
-        for line in _wrapped(f"{name:13}", text, 13):
-            click.echo(line)
+    else:
+        if trace:
+            for line in _traces_text(task, drawn):
+                click.echo(line)
+        for name, text in _summary(task, plan, drawn, seed):
+            for line in _wrapped(f"{name:13}", text, 13):
+                click.echo(line)
+    if drawn.interrupted:
+        raise LimitError(f"interrupted after {drawn.max_steps} steps of every episode")
 
 
 def _is_solver(source: str) -> bool:
@@ -225,16 +228,21 @@ def _run(
     episodes: int,
     rng: np.random.Generator,
     max_steps: int | None,
+    display: Display,
     *,
     trace: bool,
 ) -> Episodes:
-    try:
+    interrupts = Interrupts()
+
+    def told(steps: int, running: int) -> None:
+        display.simulating(steps, running)
+        interrupts.check()
+
+    with interrupts, display.during("simulating"):
         return simulator.run(
-            plan.choose, episodes, rng, max_steps=max_steps, trace=trace,
+            plan.choose, episodes, rng, max_steps=max_steps, trace=trace, progress=told,
             hopeless="goal-then-reward" in (plan.objective, plan.policy and plan.policy.objective),
         )  # fmt: skip
-    except KeyboardInterrupt:
-        raise LimitError("interrupted while episodes were drawn") from None
 
 
 def _shown(estimate: Estimate) -> str:

@@ -284,6 +284,10 @@ class Display:
             bounds = f", value between {lower:.6g} and {upper:.6g}"
         self._tell(f"solving: {iterations} iterations{bounds}")
 
+    def simulating(self, steps: int, running: int) -> None:
+        """The progress of episodes that are drawn side by side."""
+        self._tell(f"simulating: {steps} steps, {running} episodes go on")
+
     def _tell(self, text: str) -> None:
         now = time.perf_counter()
         self._text = text
