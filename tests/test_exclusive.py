@@ -157,7 +157,7 @@ def test_all_that_may_be_asked_of_a_packed_fact() -> None:
 def test_simpler_conditions() -> None:
     """One thing is at one place: neither a count nor a rule for two places is left."""
     problem = grounded(MOVE)
-    assert len(problem.tables.op_kind) == 0
+    assert len(problem.tables.op) == 1
     assert len(problem.rules) == 8
 
 

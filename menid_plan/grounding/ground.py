@@ -25,7 +25,7 @@ from menid_plan.grounding.instantiate import GroundEffect, GroundRule, Instantia
 from menid_plan.grounding.packing import WORD, Layout
 from menid_plan.grounding.prune import prune
 from menid_plan.grounding.state import GroundAction, State
-from menid_plan.grounding.tables import Columns, Tables
+from menid_plan.grounding.tables import Tables, rows
 from menid_plan.grounding.watches import Demand, watches
 from menid_plan.model.domain import Domain, Problem, param_values
 from menid_plan.model.expressions import EvaluationError, Expression, evaluate
@@ -175,6 +175,7 @@ def _value(expression: Expression | None, params: Mapping[str, float], what: str
 
 
 _ALL = 2**64 - 1
+_Rows: TypeAlias = list[tuple[int, ...]]
 _Changes: TypeAlias = dict[int, tuple[int, int]]  # by word: the bits to delete, and those to add
 
 
@@ -335,60 +336,62 @@ class _Builder:
             roots.append(rule.condition)
             roots += [effect.condition for outcome in rule.effects for effect in outcome]
         groups = self._program(roots)
-        table = Columns()
-        self._fill_program(groups, table)
-        self._fill_rules(table)
-        table.start("reward_entries", len(self.entries))
+        ops, literals, segments = self._filled_program(groups)
+        rules, outcome_effects, effects, changes = self._filled_rules()
+        noise = [o.is_noise for d in self.distributions for o in d.rule.outcomes]
+        reward_entries, reward_values = [len(self.entries)], []
         for condition, reward in zip(conditions, rewards, strict=True):
             if condition and reward:
-                table.add(reward_entries=self._cube(condition), reward_value=reward)
+                reward_entries.append(self._cube(condition))
+                reward_values.append(reward)
         begin = len(self.entries)
-        goal_entries = [-1, -1]
-        if goal is not None:
-            goal_entries = [begin, self._cube(goal)]
-        outcome_masks = np.array(self.outcome_masks, np.uint64).reshape(-1, 2, self.layout.words)
-        words, masks, values = zip(*self.entries, strict=True) if self.entries else ((), (), ())
+        goal_entries = [-1, -1] if goal is None else [begin, self._cube(goal)]
         fields = self.layout.fields
+        numbers = {action: number for number, action in enumerate(self.actions)}
         return Tables(
             words=self.layout.words,
             extended_words=self.extended_words,
-            entry_word=np.array(words, np.uint32),
-            entry_mask=np.array(masks, np.uint64),
-            entry_value=np.array(values, np.uint64),
-            goal_entries=np.array(goal_entries, np.int32),
-            field_word=np.array([field.word for field in fields], np.uint32),
-            field_shift=np.array([field.shift for field in fields], np.uint64),
-            field_mask=np.array([(1 << field.width) - 1 for field in fields], np.uint64),
+            entry=rows(3, self.entries, np.uint64),
+            op=rows(3, ops, np.int32),
+            literal=rows(2, literals, np.uint64),
+            segment=rows(2, segments, np.int32),
+            rule=rows(3, rules, np.uint32),
+            rule_action=np.array([numbers[rule.action] for rule in self.rules], np.int32),
+            slot_noise=np.array(noise, np.bool_),
+            outcome_change=np.array(self.outcome_masks, np.uint64).reshape(
+                -1, 2, self.layout.words
+            ),
+            outcome_effects=np.array(outcome_effects, np.uint32),
+            effect=rows(2, effects, np.uint32),
+            change=rows(3, changes, np.uint64),
+            field=rows(3, [(f.word, f.shift, (1 << f.width) - 1) for f in fields], np.uint64),
             rule_watch=watches([self._rule_demands], self.extended_words, fields),
             effect_watch=watches(self._effect_demands, self.extended_words, fields),
-            outcome_delete=np.ascontiguousarray(outcome_masks[:, 0]),
-            outcome_add=np.ascontiguousarray(outcome_masks[:, 1]),
-            **table.arrays(),
+            reward_entries=np.array(reward_entries, np.uint32),
+            reward_value=np.array(reward_values, np.float64),
+            goal_entries=np.array(goal_entries, np.int32),
         )
 
-    def _fill_program(self, groups: list[list[int]], table: Columns) -> None:
-        for name in ("op_literals", "segment_ops"):
-            table.start(name, 0)
-        ops = literals = 0
+    def _filled_program(self, groups: list[list[int]]) -> tuple[_Rows, _Rows, _Rows]:
+        """The rows of the program: operations, literals, segments."""
+        ops, literals, segments = _Rows(), _Rows(), _Rows()
         for group in groups:
             loops = any(self.circuit.nodes[number].kind == "derived" for number in group)
+            # One long run of operations that need no repeating is one segment.
+            if loops or not segments or segments[-1][0]:
+                segments.append((int(loops), len(ops)))
             for number in group:
                 node = self.circuit.nodes[number]
-                if node.kind == "fact":
-                    found = self._field_bits(number)
-                else:
-                    found = list(self._literal_bits(*self._operands(number)))
-                for bit, flip in found:
-                    table.add(literal_bit=bit, literal_flip=flip)
-                    literals += 1
                 exactly = node.comparison == "="
                 kind = {"derived": 3, "count": 1 if exactly else 2}.get(node.kind, 0)
-                table.add(op_kind=kind, op_number=node.number, op_literals=literals)
-            ops += len(group)
-            # One long run of operations that need no repeating is one segment.
-            if not loops and table.last("segment_loops") == 0:
-                table.drop("segment_ops", "segment_loops")
-            table.add(segment_ops=ops, segment_loops=int(loops))
+                ops.append((kind, node.number, len(literals)))
+                if node.kind == "fact":
+                    literals += self._field_bits(number)
+                else:
+                    literals += self._literal_bits(*self._operands(number))
+        ops.append((0, 0, len(literals)))
+        segments.append((0, len(ops) - 1))
+        return ops, literals, segments
 
     def _literal_bits(
         self, literals: Iterable[Signal], conjunction: bool
@@ -411,43 +414,38 @@ class _Builder:
         word, shift, width = self.layout.fields[index]
         return [(WORD * word + shift + i, 0 if code >> i & 1 else _ALL) for i in range(width)]
 
-    def _fill_rules(self, table: Columns) -> None:
-        numbers = {action: number for number, action in enumerate(self.actions)}
-        table.start("rule_entries", len(self.entries))
+    def _filled_rules(self) -> tuple[_Rows, list[int], _Rows, _Rows]:
+        """The rows of rules, the offsets of outcomes, the rows of effects and of their changes."""
+        cubes = [len(self.entries)]
         for rule in self.rules:
-            table.add(
-                rule_entries=self._cube(rule.condition),
-                rule_action=numbers[rule.action],
-            )
+            cubes.append(self._cube(rule.condition))
             self._rule_demands.append(self._demands(rule.condition))
-        for name in ("rule_outcomes", "outcome_effects", "effect_changes"):
-            table.start(name, 0)
-        table.start("effect_entries", len(self.entries))
-        outcomes = effects = changed = 0
-        for rule, distribution in zip(self.rules, self.rule_distribution, strict=True):
-            slots = self.distributions[distribution].slots
-            for slot, outcome, ground_effects in zip(
-                slots, rule.rule.outcomes, rule.effects, strict=True
-            ):
+        rules, effects, changes = _Rows(), _Rows(), _Rows()
+        outcomes = list[int]()
+        begin = len(self.entries)
+        for rule, distribution, entries in zip(
+            self.rules, self.rule_distribution, cubes[:-1], strict=True
+        ):
+            slot = self.distributions[distribution].start
+            rules.append((entries, len(outcomes), slot))
+            for ground_effects in rule.effects:
+                outcomes.append(len(effects))
                 masks = np.zeros((2, self.layout.words), np.uint64)
                 self._effect_demands.append([])
-                for condition, changes in self._changing(rule.condition, ground_effects):
+                for condition, changed in self._changing(rule.condition, ground_effects):
                     if condition == TRUE:
-                        for word, bits in changes.items():
+                        for word, bits in changed.items():
                             masks[:, word] |= np.array(bits, np.uint64)
                         continue
                     self._effect_demands[-1].append(self._demands(condition))
-                    for word, (delete, add) in changes.items():
-                        table.add(change_word=word, change_delete=delete, change_add=add)
-                    changed += len(changes)
-                    table.add(effect_entries=self._cube(condition), effect_changes=changed)
-                    effects += 1
+                    effects.append((begin, len(changes)))
+                    changes += [(word, *bits) for word, bits in changed.items()]
+                    begin = self._cube(condition)
                 self.outcome_masks.append(masks)
-                table.add(
-                    outcome_slot=slot, outcome_noise=int(outcome.is_noise), outcome_effects=effects
-                )
-                outcomes += 1
-            table.add(rule_outcomes=outcomes)
+        rules.append((cubes[-1], len(outcomes), 0))
+        outcomes.append(len(effects))
+        effects.append((begin, len(changes)))
+        return rules, outcomes, effects, changes
 
     def _changing(
         self, covered: Signal, effects: Iterable[GroundEffect]

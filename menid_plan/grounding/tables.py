@@ -2,115 +2,74 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from menid_plan.grounding.watches import Watches
 
+_Number = TypeVar("_Number", np.int32, np.uint32, np.uint64)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tables:
     """The arrays of a ground problem, as the compiled kernels read them.
 
-    Ranges are by offsets: those of item i are ``start[i]`` to ``start[i + 1]``. What a search looks
-    up for each step is unsigned, so that nothing need be done for numbers below 0.
+    What is looked up together is a row of one array, so that it comes from memory together. Ranges are
+    by offsets: those of row i go from its own to that of row i + 1; the last row only ends them.
 
-    Entries (of cubes and counts): ``entry_word`` uint32, ``entry_mask`` and ``entry_value`` uint64.
-    Operations of the program, each of which sets the next bit behind those of the state: ``op_kind``
-    uint8 (0: all literals hold, 1: so many hold, 2: at least so many, 3: all hold, of a derived atom),
-    ``op_number``, ``op_literals`` (offsets). Literals: ``literal_bit``, ``literal_flip`` (uint64, all
-    ones for the negation). Segments of the program: ``segment_ops`` (offsets), ``segment_loops`` uint8
-    (repeat until nothing changes).
-    Rules: ``rule_entries``, ``rule_outcomes`` (offsets), ``rule_action``. Outcomes:
-    ``outcome_slot``, ``outcome_noise`` uint8, ``outcome_delete`` and ``outcome_add`` (uint64[., W],
-    what it does unconditionally), ``outcome_effects`` (offsets, of the others). Conditional effects:
-    ``effect_entries``, ``effect_changes`` (offsets). Changes: ``change_word``, ``change_delete``,
-    ``change_add``. Fields (see `menid_plan.grounding.packing`): ``field_word``, ``field_shift`` and
-    ``field_mask`` (uint64; the mask of what is shifted down). Watches (see
-    `menid_plan.grounding.watches`): ``rule_watch`` for the rules, ``effect_watch`` for the conditional
-    effects of each outcome. Rewards of states: ``reward_entries`` (offsets), ``reward_value`` float64.
-    The cube of the goal: ``goal_entries`` (two offsets; equal to -1 without a goal).
+    ``entry`` (uint64[., 3]): word, mask and value. Operations of the program, each of which sets the
+    next bit behind those of the state: ``op`` (int32[., 3]) has the kind (0: all literals hold, 1: so
+    many hold, 2: at least so many, 3: all hold, of a derived atom), the number, and the first literal.
+    ``literal`` (uint64[., 2]): a bit, and what turns it (all ones for the negation). ``segment``
+    (int32[., 2]) of the program: whether it repeats until nothing changes, and the first operation.
+    ``rule`` (uint32[., 3]): the first entry, the first outcome and its slot, which those of the next
+    outcomes follow; ``rule_action`` int32; ``slot_noise`` (bool): whether a slot's outcome is noise.
+    ``outcome_change`` (uint64[., 2, W]): what an outcome deletes and adds unconditionally;
+    ``outcome_effects`` (uint32): the first of its conditional effects. Of these ``effect``
+    (uint32[., 2]) has the first entry and the first change; ``change`` (uint64[., 3]) has the word,
+    what to delete, what to add.
+    ``field`` (uint64[., 3], see `menid_plan.grounding.packing`): word, shift, and the mask of what is
+    shifted down. Watches (see `menid_plan.grounding.watches`): ``rule_watch`` for the rules,
+    ``effect_watch`` for the conditional effects of each outcome. Rewards of states:
+    ``reward_entries`` (uint32 offsets), ``reward_value`` float64. The cube of the goal:
+    ``goal_entries`` (int32, two offsets; both -1 without a goal).
     """
 
     words: int
     extended_words: int
-    entry_word: NDArray[np.uint32]
-    entry_mask: NDArray[np.uint64]
-    entry_value: NDArray[np.uint64]
-    op_kind: NDArray[np.uint8]
-    op_number: NDArray[np.int32]
-    op_literals: NDArray[np.int32]
-    literal_bit: NDArray[np.int32]
-    literal_flip: NDArray[np.uint64]
-    segment_ops: NDArray[np.int32]
-    segment_loops: NDArray[np.uint8]
-    rule_entries: NDArray[np.uint32]
-    rule_outcomes: NDArray[np.uint32]
+    entry: NDArray[np.uint64]
+    op: NDArray[np.int32]
+    literal: NDArray[np.uint64]
+    segment: NDArray[np.int32]
+    rule: NDArray[np.uint32]
     rule_action: NDArray[np.int32]
-    outcome_slot: NDArray[np.int32]
-    outcome_noise: NDArray[np.uint8]
-    outcome_delete: NDArray[np.uint64]
-    outcome_add: NDArray[np.uint64]
+    slot_noise: NDArray[np.bool_]
+    outcome_change: NDArray[np.uint64]
     outcome_effects: NDArray[np.uint32]
-    effect_entries: NDArray[np.uint32]
-    effect_changes: NDArray[np.uint32]
-    change_word: NDArray[np.uint32]
-    change_delete: NDArray[np.uint64]
-    change_add: NDArray[np.uint64]
+    effect: NDArray[np.uint32]
+    change: NDArray[np.uint64]
+    field: NDArray[np.uint64]
+    rule_watch: Watches
+    effect_watch: Watches
     reward_entries: NDArray[np.uint32]
     reward_value: NDArray[np.float64]
     goal_entries: NDArray[np.int32]
-    field_word: NDArray[np.uint32]
-    field_shift: NDArray[np.uint64]
-    field_mask: NDArray[np.uint64]
-    rule_watch: Watches
-    effect_watch: Watches
+
+    @property
+    def rules(self) -> int:
+        """How many rules there are."""
+        return len(self.rule_action)
+
+    @property
+    def outcomes(self) -> int:
+        """How many outcomes all rules have."""
+        return len(self.outcome_change)
 
 
-_TYPES: dict[str, type[np.generic]] = {  # others int32
-    "op_kind": np.uint8, "segment_loops": np.uint8, "outcome_noise": np.uint8,
-    "literal_flip": np.uint64, "change_delete": np.uint64, "change_add": np.uint64,
-    "reward_value": np.float64, "rule_entries": np.uint32, "rule_outcomes": np.uint32,
-    "outcome_effects": np.uint32, "effect_entries": np.uint32, "effect_changes": np.uint32,
-    "change_word": np.uint32, "reward_entries": np.uint32,
-}  # fmt: skip
-
-
-class Columns:
-    """Tables as lists, on their way to arrays."""
-
-    def __init__(self) -> None:
-        names = set(Tables.__dataclass_fields__) - {
-            "words", "extended_words", "entry_word", "entry_mask", "entry_value", "goal_entries",
-            "outcome_delete", "outcome_add", "field_word", "field_shift", "field_mask", "rule_watch",
-            "effect_watch",
-        }  # fmt: skip
-        self._lists: dict[str, list[float]] = {name: [] for name in sorted(names)}
-
-    def start(self, name: str, offset: int) -> None:
-        """Begin a table of offsets."""
-        self._lists[name].append(offset)
-
-    def add(self, **values: float) -> None:
-        """Append a value to each of some tables."""
-        for name, value in values.items():
-            self._lists[name].append(value)
-
-    def last(self, name: str) -> float | None:
-        """The last value of a table; None if it is empty."""
-        return self._lists[name][-1] if self._lists[name] else None
-
-    def drop(self, *names: str) -> None:
-        """Take the last value of each of some tables away."""
-        for name in names:
-            self._lists[name].pop()
-
-    def arrays(self) -> dict[str, Any]:
-        """The tables as arrays of their types."""
-        return {
-            name: np.array(values, _TYPES.get(name, np.int32))
-            for name, values in self._lists.items()
-        }
+def rows(width: int, values: Iterable[tuple[int, ...]], kind: type[_Number]) -> NDArray[_Number]:
+    """Rows of so many numbers as an array, even if there are none."""
+    return np.array(list(values), kind).reshape(-1, width)

@@ -139,10 +139,13 @@ def _structure(search: Search, seconds: float) -> Structure:
     reward = of_length(search.reward, total)
     words[states:], goal[states:], reward[states:] = 0, False, 0.0
     tables = search.problem.tables
-    follows = search.happens[tables.outcome_slot] != kernel.NEVER
-    kind_first = np.concatenate(([0], np.cumsum(follows)))[tables.rule_outcomes]
+    outcome_first = tables.rule[:, 1].astype(np.int64)
+    before = np.repeat(tables.rule[:-1, 2] - outcome_first[:-1], np.diff(outcome_first))
+    slots = (before + np.arange(tables.outcomes)).astype(np.int32)
+    follows = search.follow[slots] != kernel.NEVER
+    kind_first = np.concatenate(([0], np.cumsum(follows)))[outcome_first]
     return Structure(
         search.problem, words, state_row, search.row_rule[:rows],
-        search.row_transition[: rows + 1], next_state, kind_first, tables.outcome_slot[follows],
+        search.row_transition[: rows + 1], next_state, kind_first, slots[follows],
         goal, reward, sink, seconds,
     )  # fmt: skip

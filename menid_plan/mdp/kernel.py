@@ -17,8 +17,9 @@ from menid_plan.mdp.program import LANES, extend_block
 # Why expand came back.
 DONE, FULL, NO_ROOM, CONFLICT, UNKNOWN = range(5)
 
-# What may happen with a slot: its outcome never happens, happens, or nobody knows.
-NEVER, HAPPENS, MISSING = 0, 1, 2
+# What may happen with a slot: its outcome never happens, happens, or nobody knows; or it is noise
+# that happens, and leads nowhere or to the sink.
+NEVER, HAPPENS, MISSING, STAYS, FALLS = range(5)
 
 # Instead of a state's number: the sink, and below it what is not numbered yet.
 SINK_STATE = -1
@@ -26,65 +27,42 @@ NEW = -2
 
 
 @kernel(inline=True)
-def matches(extended: Any, begin: int, end: int, word: Any, mask: Any, value: Any) -> bool:
+def matches(extended: Any, begin: int, end: int, entry: Any) -> bool:
     """Whether an extended state is in the cube of some entries."""
-    for entry in range(begin, end):  # noqa: SIM110 - Numba has no generators
-        if (extended[word[entry]] & mask[entry]) != value[entry]:
+    for i in range(begin, end):  # noqa: SIM110 - Numba has no generators
+        if (extended[entry[i, 0]] & entry[i, 1]) != entry[i, 2]:
             return False
     return True
 
 
 @kernel(inline=True)
-def apply(
-    effect: int, extended: Any, word: Any, mask: Any, value: Any, effect_entries: Any,
-    effect_changes: Any, change_word: Any, change_delete: Any, change_add: Any, delete: Any,
-    add: Any,
-) -> None:  # fmt: skip
-    """Add what a conditional effect does, if its condition holds, to what an outcome does."""
-    if matches(extended, effect_entries[effect], effect_entries[effect + 1], word, mask, value):
-        for change in range(effect_changes[effect], effect_changes[effect + 1]):
-            delete[change_word[change]] |= change_delete[change]
-            add[change_word[change]] |= change_add[change]
-
-
-@kernel(inline=True)
-def collect(
-    outcome: int, words: int, extended: Any, word: Any, mask: Any, value: Any, outcome_delete: Any,
-    outcome_add: Any, effect_entries: Any, effect_changes: Any, change_word: Any,
-    change_delete: Any, change_add: Any, effect_mask: Any, effect_group: Any, effect_first: Any,
-    effect_item: Any, effect_always: Any, effect_always_first: Any, effect_field: Any,
-    field_word: Any, field_shift: Any, field_mask: Any, delete: Any, add: Any,
-) -> None:  # fmt: skip
-    """What an outcome deletes and adds in a state, by its conditional effects too."""
-    for i in range(words):
-        delete[i] = outcome_delete[outcome, i]
-        add[i] = outcome_add[outcome, i]
-    for i in range(effect_always_first[outcome], effect_always_first[outcome + 1]):
-        apply(
-            effect_always[i], extended, word, mask, value, effect_entries, effect_changes,
-            change_word, change_delete, change_add, delete, add,
-        )  # fmt: skip
+def watching(
+    owner: int, extended: Any, mask: Any, group: Any, field_group: Any, first: Any, item: Any,
+    always: Any, always_first: Any, field: Any, look: Any,
+) -> int:  # fmt: skip
+    """Write to ``look`` the conditions of an owner that are worth a look; how many there are."""
+    count = 0
+    for i in range(always_first[owner], always_first[owner + 1]):
+        look[count] = always[i]
+        count += 1
     for w in range(len(extended)):
-        watched = effect_mask[outcome, w]
+        watched = mask[owner, w]
         bits = extended[w] & watched
         while bits:
             lowest = bits & (~bits + np.uint64(1))
             bits ^= lowest
-            group = effect_group[outcome, w] + np.int64(ones(watched & (lowest - np.uint64(1))))
-            for i in range(effect_first[group], effect_first[group + 1]):
-                apply(
-                    effect_item[i], extended, word, mask, value, effect_entries, effect_changes,
-                    change_word, change_delete, change_add, delete, add,
-                )  # fmt: skip
-    for index in range(len(field_word)):
-        if effect_field[outcome, index] >= 0:
-            code = extended[field_word[index]] >> field_shift[index] & field_mask[index]
-            group = effect_field[outcome, index] + np.int64(code)
-            for i in range(effect_first[group], effect_first[group + 1]):
-                apply(
-                    effect_item[i], extended, word, mask, value, effect_entries, effect_changes,
-                    change_word, change_delete, change_add, delete, add,
-                )  # fmt: skip
+            at = group[owner, w] + np.int64(ones(watched & (lowest - np.uint64(1))))
+            for i in range(first[at], first[at + 1]):
+                look[count] = item[i]
+                count += 1
+    for index in range(len(field)):
+        if field_group[owner, index] >= 0:
+            code = extended[field[index, 0]] >> field[index, 1] & field[index, 2]
+            at = field_group[owner, index] + np.int64(code)
+            for i in range(first[at], first[at + 1]):
+                look[count] = item[i]
+                count += 1
+    return count
 
 
 @kernel(inline=True)
@@ -174,40 +152,33 @@ def put_numbers(count: int, found_state: Any, number: Any, next_state: Any) -> N
 
 
 @kernel(
-    "i8(i8, u4[::1], u8[::1], u8[::1], u1[::1], i4[::1], i4[::1], i4[::1], u8[::1], i4[::1],"
-    " u1[::1], u4[::1], u4[::1], i4[::1], i4[::1], u1[::1], u8[:, ::1], u8[:, ::1], u4[::1],"
-    " u4[::1], u4[::1], u4[::1], u8[::1], u8[::1], u4[::1], f8[::1], i4[::1],"
+    "i8(i8, u8[:, ::1], i4[:, ::1], u8[:, ::1], i4[:, ::1], u4[:, ::1],"
+    " i4[::1], u8[:, :, ::1], u4[::1], u4[:, ::1], u8[:, ::1], u8[:, ::1],"
     " u8[:, ::1], u4[:, ::1], i4[:, ::1], u4[::1], u4[::1], u4[::1], u4[::1],"
     " u8[:, ::1], u4[:, ::1], i4[:, ::1], u4[::1], u4[::1], u4[::1], u4[::1],"
-    " u4[::1], u8[::1], u8[::1], u1[::1], b1, i4[::1], u8[:, ::1], u8[::1], i8, i8, i8,"
-    " i8[::1], i8[::1], b1[::1], f8[::1], i4[::1], i4[::1], i4[::1], u8[:, ::1],"
-    " i8[::1], u8[::1], u8[::1], u8[::1], u8[::1], u8[:, ::1], i8[::1], u8[::1], u8[::1],"
+    " u4[::1], f8[::1], i4[::1], u1[::1], i4[::1], u8[:, ::1], u8[::1], i8, i8, i8,"
+    " i8[::1], i8[::1], b1[::1], f8[::1], i4[::1], i4[::1], i4[::1], u8[:, ::1], i8[::1],"
+    " u8[::1], u8[::1], u8[::1], u8[::1], u4[::1], u8[:, ::1], i8[::1], u8[::1], u8[::1],"
     " u8[::1], u8[:, ::1])"
 )
 def expand(
-    # What is known of the problem (see grounding.ground.Tables).
-    words: int, word: Any, mask: Any, value: Any, op_kind: Any, op_number: Any,
-    op_literals: Any, literal_bit: Any, literal_flip: Any, segment_ops: Any, segment_loops: Any,
-    rule_entries: Any, rule_outcomes: Any, rule_action: Any,
-    outcome_slot: Any, outcome_noise: Any, outcome_delete: Any, outcome_add: Any,
-    outcome_effects: Any, effect_entries: Any,
-    effect_changes: Any, change_word: Any, change_delete: Any, change_add: Any,
-    reward_entries: Any, reward_value: Any, goal_entries: Any,
+    # What is known of the problem (see grounding.tables.Tables).
+    words: int, entry: Any, ops: Any, literal: Any, segments: Any, rule: Any, rule_action: Any,
+    outcome_change: Any, outcome_effects: Any, effect: Any, change: Any, field: Any,
     rule_mask: Any, rule_group: Any, rule_field: Any, rule_first: Any, rule_item: Any,
     rule_always: Any, rule_always_first: Any,
     effect_mask: Any, effect_group: Any, effect_field: Any, effect_first: Any, effect_item: Any,
     effect_always: Any, effect_always_first: Any,
-    field_word: Any, field_shift: Any, field_mask: Any,
-    slot_state: Any, noise_to_sink: bool,
+    reward_entries: Any, reward_value: Any, goal_entries: Any, follow: Any,
     # What was found before, and which states to expand; alone, until so many are waiting (else 0).
     table: Any, states: Any, salt: Any, first: int, last: int, alone: int,
     # What is found: counts = [next state to expand, rows, transitions, new states, all states].
     counts: Any, state_row: Any, goal: Any, state_reward: Any,
     row_rule: Any, row_transition: Any, next_state: Any, new: Any, clash: Any,
-    # Room to work in: the extended words, a bit for each rule, twice words, the successors of a state
-    # and which transitions lead there; and for the program
-    # all extended bits, 64 words, the planes of a count, the extended words of 64 states.
-    extended: Any, due: Any, delete: Any, add: Any, successors: Any, leads: Any,
+    # Room to work in: the extended words, a bit for each rule, twice words, conditions to look at, the
+    # successors of a state and which transitions lead there; and for the program all extended bits,
+    # 64 words, the planes of a count, the extended words of 64 states.
+    extended: Any, due: Any, delete: Any, add: Any, look: Any, successors: Any, leads: Any,
     sliced: Any, column: Any, planes: Any, block: Any,
 ) -> int:  # fmt: skip
     """Expand the states from counts[0] to last, as far as there are and have room; says why it stopped.
@@ -218,7 +189,7 @@ def expand(
     """
     state, rows, transitions, fresh = counts[0], counts[1], counts[2], counts[3]
     found = counts[4]
-    rules, outcomes = len(rule_action), len(outcome_slot)
+    rules, outcomes = len(rule_action), len(outcome_change)
     end = DONE
     block_first = block_end = state
     while state < last and state < found:
@@ -237,7 +208,7 @@ def expand(
         ):
             end = FULL
             break
-        if len(op_kind) == 0:
+        if len(ops) == 1:
             for i in range(words):
                 extended[i] = states[state, i]
         else:
@@ -245,86 +216,77 @@ def expand(
                 block_end = min(state + LANES, last, found)
                 block_first = state
                 extend_block(
-                    states, state, block_end - state, words, op_kind, op_number, op_literals,
-                    literal_bit, literal_flip, segment_ops, segment_loops, sliced, column, planes,
-                    block,
+                    states, state, block_end - state, words, ops, literal, segments, sliced, column,
+                    planes, block,
                 )  # fmt: skip
             for i in range(len(extended)):
                 extended[i] = block[state - block_first, i]
         paid = 0.0
         for i in range(len(reward_value)):
-            if matches(extended, reward_entries[i], reward_entries[i + 1], word, mask, value):
+            if matches(extended, reward_entries[i], reward_entries[i + 1], entry):
                 paid += reward_value[i]
         at_goal = goal_entries[0] >= 0 and matches(
-            extended, goal_entries[0], goal_entries[1], word, mask, value
+            extended, goal_entries[0], goal_entries[1], entry
         )
         state_reward[state - first] = paid
         goal[state - first] = at_goal
+        looks = 0
+        if not at_goal:
+            looks = watching(
+                0, extended, rule_mask, rule_group, rule_field, rule_first, rule_item, rule_always,
+                rule_always_first, field, look,
+            )  # fmt: skip
         for i in range(len(due)):
             due[i] = 0
-        if not at_goal:
-            for i in range(rule_always_first[1]):
-                watcher = np.uint64(rule_always[i])
-                due[watcher >> np.uint64(6)] |= np.uint64(1) << (watcher & np.uint64(63))
-            for w in range(len(extended)):
-                watched = rule_mask[0, w]
-                bits = extended[w] & watched
-                while bits:
-                    lowest = bits & (~bits + np.uint64(1))
-                    bits ^= lowest
-                    group = rule_group[0, w] + np.int64(ones(watched & (lowest - np.uint64(1))))
-                    for i in range(rule_first[group], rule_first[group + 1]):
-                        watcher = np.uint64(rule_item[i])
-                        due[watcher >> np.uint64(6)] |= np.uint64(1) << (watcher & np.uint64(63))
-            for index in range(len(field_word)):
-                if rule_field[0, index] >= 0:
-                    code = extended[field_word[index]] >> field_shift[index] & field_mask[index]
-                    group = rule_field[0, index] + np.int64(code)
-                    for i in range(rule_first[group], rule_first[group + 1]):
-                        watcher = np.uint64(rule_item[i])
-                        due[watcher >> np.uint64(6)] |= np.uint64(1) << (watcher & np.uint64(63))
+        for i in range(looks):
+            bit = np.uint64(look[i])
+            due[bit >> np.uint64(6)] |= np.uint64(1) << (bit & np.uint64(63))
         previous = -1
         waiting = 0
         for w_due in range(len(due)):
             while due[w_due]:
                 next_due = due[w_due] & (~due[w_due] + np.uint64(1))
                 due[w_due] ^= next_due
-                rule = 64 * w_due + int(ones(next_due - np.uint64(1)))
-                if not matches(
-                    extended, rule_entries[rule], rule_entries[rule + 1], word, mask, value
-                ):
+                r = 64 * w_due + int(ones(next_due - np.uint64(1)))
+                if not matches(extended, rule[r, 0], rule[r + 1, 0], entry):
                     continue
-                if previous >= 0 and rule_action[rule] == rule_action[previous]:
-                    clash[0], clash[1], clash[2] = state, previous, rule
+                if previous >= 0 and rule_action[r] == rule_action[previous]:
+                    clash[0], clash[1], clash[2] = state, previous, r
                     return CONFLICT
-                previous = rule
-                for outcome in range(rule_outcomes[rule], rule_outcomes[rule + 1]):
-                    known = slot_state[outcome_slot[outcome]]
+                previous = r
+                first_slot = np.int64(rule[r, 2]) - np.int64(rule[r, 1])
+                for o in range(rule[r, 1], rule[r + 1, 1]):
+                    known = follow[first_slot + o]
                     if known == NEVER:
                         continue
                     if known == MISSING:
-                        clash[0], clash[1], clash[2] = state, rule, rule
+                        clash[0], clash[1], clash[2] = state, r, r
                         return UNKNOWN
                     number = state
-                    if outcome_noise[outcome]:
-                        if noise_to_sink:
-                            number = SINK_STATE
-                    else:
+                    if known == FALLS:
+                        number = SINK_STATE
+                    elif known == HAPPENS:
                         moved = False
-                        if outcome_effects[outcome] == outcome_effects[outcome + 1]:
+                        if outcome_effects[o] == outcome_effects[o + 1]:
                             for i in range(words):
-                                to = extended[i] & ~outcome_delete[outcome, i]
-                                to |= outcome_add[outcome, i]
+                                to = extended[i] & ~outcome_change[o, 0, i]
+                                to |= outcome_change[o, 1, i]
                                 successors[waiting, i] = to
                                 moved |= to != extended[i]
                         else:
-                            collect(
-                                outcome, words, extended, word, mask, value, outcome_delete,
-                                outcome_add, effect_entries, effect_changes, change_word,
-                                change_delete, change_add, effect_mask, effect_group, effect_first,
-                                effect_item, effect_always, effect_always_first, effect_field,
-                                field_word, field_shift, field_mask, delete, add,
+                            for i in range(words):
+                                delete[i] = outcome_change[o, 0, i]
+                                add[i] = outcome_change[o, 1, i]
+                            looks = watching(
+                                o, extended, effect_mask, effect_group, effect_field, effect_first,
+                                effect_item, effect_always, effect_always_first, field, look,
                             )  # fmt: skip
+                            for i in range(looks):
+                                e = look[i]
+                                if matches(extended, effect[e, 0], effect[e + 1, 0], entry):
+                                    for c in range(effect[e, 1], effect[e + 1, 1]):
+                                        delete[change[c, 0]] |= change[c, 1]
+                                        add[change[c, 0]] |= change[c, 2]
                             for i in range(words):
                                 to = (extended[i] & ~delete[i]) | add[i]
                                 successors[waiting, i] = to
@@ -334,7 +296,7 @@ def expand(
                             waiting += 1
                     next_state[transitions] = number
                     transitions += 1
-                row_rule[rows] = rule
+                row_rule[rows] = r
                 rows += 1
                 row_transition[rows] = transitions
         # All at once: looking one up need not wait for the memory that the one before waits for.

@@ -35,8 +35,7 @@ def transpose(a: Any) -> None:
 
 @kernel()
 def counted(
-    begin: int, end: int, number: int, exactly: bool, literal_bit: Any, literal_flip: Any,
-    sliced: Any, planes: Any,
+    begin: int, end: int, number: int, exactly: bool, literal: Any, sliced: Any, planes: Any,
 ) -> Any:  # fmt: skip
     """In which lanes so many, or at least so many, of some literals hold."""
     width = 1
@@ -45,7 +44,7 @@ def counted(
     for p in range(width):
         planes[p] = 0
     for i in range(begin, end):
-        carry = sliced[literal_bit[i]] ^ literal_flip[i]
+        carry = sliced[literal[i, 0]] ^ literal[i, 1]
         for p in range(width):
             if carry == 0:
                 break
@@ -66,8 +65,7 @@ def counted(
 
 @kernel()
 def extend_block(
-    states: Any, first: int, count: int, words: int, op_kind: Any, op_number: Any,
-    op_literals: Any, literal_bit: Any, literal_flip: Any, segment_ops: Any, segment_loops: Any,
+    states: Any, first: int, count: int, words: int, ops: Any, literal: Any, segments: Any,
     sliced: Any, column: Any, planes: Any, block: Any,
 ) -> None:  # fmt: skip
     """Write the extended words of up to 64 states to the rows of block.
@@ -85,25 +83,23 @@ def extend_block(
     base = 64 * words
     for bit in range(base, len(sliced)):
         sliced[bit] = 0
-    for segment in range(len(segment_loops)):
+    for segment in range(len(segments) - 1):
         again = True
         while again:
             changed = np.uint64(0)
-            for op in range(segment_ops[segment], segment_ops[segment + 1]):
-                begin, end = op_literals[op], op_literals[op + 1]
-                if op_kind[op] == 0 or op_kind[op] == 3:
+            for op in range(segments[segment, 1], segments[segment + 1, 1]):
+                kind = ops[op, 0]
+                begin, end = ops[op, 2], ops[op + 1, 2]
+                if kind == 0 or kind == 3:
                     found = ~np.uint64(0)
                     for i in range(begin, end):
-                        found &= sliced[literal_bit[i]] ^ literal_flip[i]
-                    if op_kind[op] == 3:
+                        found &= sliced[literal[i, 0]] ^ literal[i, 1]
+                    if kind == 3:
                         changed |= found ^ sliced[base + op]
                 else:
-                    found = counted(
-                        begin, end, op_number[op], op_kind[op] == 1, literal_bit, literal_flip,
-                        sliced, planes,
-                    )  # fmt: skip
+                    found = counted(begin, end, ops[op, 1], kind == 1, literal, sliced, planes)
                 sliced[base + op] = found
-            again = changed != 0 and segment_loops[segment] != 0
+            again = changed != 0 and segments[segment, 0] != 0
     for w in range(words, block.shape[1]):
         for bit in range(LANES):
             column[bit] = sliced[64 * w + bit]

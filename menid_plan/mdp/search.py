@@ -45,8 +45,9 @@ class Search:
         self, problem: GroundProblem, happens: NDArray[np.uint8], to_sink: bool, max_states: int
     ) -> None:
         self.problem = problem
-        self.happens = happens
-        self.to_sink = to_sink
+        noise = kernel.FALLS if to_sink else kernel.STAYS
+        is_noise = problem.tables.slot_noise & (happens == kernel.HAPPENS)
+        self.follow = np.where(is_noise, noise, happens).astype(np.uint8)
         self.max_states = max_states
         words = problem.tables.words
         self.expanded, self.found, self.rows, self.transitions = 0, 1, 0, 0
@@ -191,7 +192,7 @@ class _Chunk:
     def __init__(self, search: Search) -> None:
         self.search = search
         tables = search.problem.tables
-        most = max(len(tables.outcome_slot), len(tables.rule_action))  # of one state
+        most = max(tables.outcomes, tables.rules)  # of one state
         self.most = most
         rows, size = max(4 * STRETCH, 2 * most), max(16 * STRETCH, 2 * most)
         self.first = self.last = 0
@@ -204,10 +205,10 @@ class _Chunk:
         self.next_state = np.zeros(size, np.int32)
         self.new = np.zeros((size, tables.words), np.uint64)
         self.clash = np.zeros(3, np.int64)
-        rule_bits = len(tables.rule_action) // 64 + 1
         words = tables.words
-        sizes = (tables.extended_words, rule_bits, words, words)
+        sizes = (tables.extended_words, tables.rules // 64 + 1, words, words)
         self.room: list[Any] = [np.zeros(length, np.uint64) for length in sizes]
+        self.room.append(np.zeros(max(tables.rules, len(tables.effect)) + 1, np.uint32))
         self.room += [np.zeros((most + 1, words), np.uint64), np.zeros(most, np.int64)]
         bits = 64 * tables.extended_words
         self.room += [np.zeros(length, np.uint64) for length in (bits, LANES, PLANES)]
@@ -237,14 +238,10 @@ class _Chunk:
         t = search.problem.tables
         expand: Any = kernel.expand  # its parameters are too many to be told apart by their types
         return int(expand(
-            t.words, t.entry_word, t.entry_mask, t.entry_value, t.op_kind, t.op_number,
-            t.op_literals, t.literal_bit, t.literal_flip, t.segment_ops, t.segment_loops,
-            t.rule_entries, t.rule_outcomes, t.rule_action, t.outcome_slot, t.outcome_noise,
-            t.outcome_delete, t.outcome_add,
-            t.outcome_effects, t.effect_entries, t.effect_changes, t.change_word, t.change_delete,
-            t.change_add, t.reward_entries, t.reward_value, t.goal_entries,
-            *t.rule_watch.arrays(), *t.effect_watch.arrays(), t.field_word, t.field_shift,
-            t.field_mask, search.happens, search.to_sink,
+            t.words, t.entry, t.op, t.literal, t.segment, t.rule, t.rule_action,
+            t.outcome_change, t.outcome_effects, t.effect, t.change, t.field,
+            *t.rule_watch.arrays(), *t.effect_watch.arrays(),
+            t.reward_entries, t.reward_value, t.goal_entries, search.follow,
             search.table, search.words, search.salt, self.first, self.last, alone,
             self.counts, self.state_row, self.goal, self.reward, self.row_rule,
             self.row_transition, self.next_state, self.new, self.clash, *self.room,
