@@ -11,7 +11,7 @@ which demands that ``extended[word] & mask == value``.
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -195,7 +195,7 @@ class _Builder:
         self._number_distributions()
         self._bits: dict[int, int] = {}  # of the nodes that have a bit of their own
         self.entries: list[tuple[int, int, int]] = []
-        self.outcome_masks: list[NDArray[np.uint64]] = []
+        self.outcome_masks: list[tuple[list[int], list[int]]] = []
         self._rule_demands: list[list[Demand]] = []
         self._effect_demands: list[list[list[Demand]]] = []
 
@@ -428,14 +428,16 @@ class _Builder:
         ):
             slot = self.distributions[distribution].start
             rules.append((entries, len(outcomes), slot))
+            covered = positives(self.circuit, rule.condition)
             for ground_effects in rule.effects:
                 outcomes.append(len(effects))
-                masks = np.zeros((2, self.layout.words), np.uint64)
+                masks = ([0] * self.layout.words, [0] * self.layout.words)
                 self._effect_demands.append([])
-                for condition, changed in self._changing(rule.condition, ground_effects):
+                for condition, changed in self._changing(covered, ground_effects):
                     if condition == TRUE:
                         for word, bits in changed.items():
-                            masks[:, word] |= np.array(bits, np.uint64)
+                            for mask, more in zip(masks, bits, strict=True):
+                                mask[word] |= more
                         continue
                     self._effect_demands[-1].append(self._demands(condition))
                     effects.append((begin, len(changes)))
@@ -448,15 +450,15 @@ class _Builder:
         return rules, outcomes, effects, changes
 
     def _changing(
-        self, covered: Signal, effects: Iterable[GroundEffect]
+        self, covered: Set[GroundAtom], effects: Iterable[GroundEffect]
     ) -> Iterator[tuple[Signal, _Changes]]:
-        """Effects as conditions and what they change where the rule covers.
+        """Effects as conditions and what they change where a rule covers, and these facts hold.
 
         To delete a fact of a group is to empty its field where it holds that fact.
         """
         for effect in effects:
             condition, changes = effect.condition, _Changes()
-            known = positives(self.circuit, covered) | positives(self.circuit, condition)
+            known = covered | positives(self.circuit, condition)
             holds = {self.layout.code[a][0]: a for a in known if a in self.layout.code}
             for atom in effect.add:
                 word, mask, value = self.layout.places[atom]
