@@ -49,6 +49,7 @@ _DTYPES = {
     "u4": np.dtype(np.uint32), "i8": np.dtype(np.int64), "u8": np.dtype(np.uint64),
     "f8": np.dtype(np.float64),
 }  # fmt: skip
+_NO_BYTES = ctypes.c_char * 0
 _ENTRY = "menid_kernel"
 _LOCK = threading.RLock()  # LLVM and Numba compile and load in one thread at a time
 _KNOWN_OUTSIDE = re.compile(r"llvm\.|mem(set|cpy|move)$|(sqrt|log|exp|pow|fabs|floor|ceil|fmod)f?$")
@@ -65,6 +66,14 @@ def kernel(signature: str = "", *, inline: bool = False) -> Callable[[_Function]
         return cast("_Function", Kernel(cast("FunctionType", function), signature, inline))
 
     return decorate
+
+
+def _address(array: Any) -> int:
+    """Where an array's data are."""
+    try:  # in an eighth of the time that numpy takes to describe an array
+        return ctypes.addressof(_NO_BYTES.from_buffer(array))
+    except TypeError:  # it is read-only
+        return int(array.__array_interface__["data"][0])
 
 
 class Kernel:
@@ -96,7 +105,7 @@ class Kernel:
                     f"{self.name} takes a {dimensions}-d array of {dtype}, "
                     f"got a {value.ndim}-d array of {value.dtype}"
                 )
-            flat += (None, None, value.size, value.itemsize, value.__array_interface__["data"][0])
+            flat += (None, None, value.size, value.itemsize, _address(value))
             flat += value.shape
             flat += value.strides
         result = self._result()

@@ -55,7 +55,7 @@ class Search:
         self.direct = words == 1 and problem.layout.bits <= DIRECT
         self.table = np.zeros(2**problem.layout.bits if self.direct else TABLE, np.int32)
         salt = b"" if self.direct else shake_256(b"states").digest(16 * words)
-        self.salt = np.frombuffer(salt, np.uint64)
+        self.salt = np.array(np.frombuffer(salt, np.uint64))
         # Memory that is not written to is not taken, so that there may be plenty from the start.
         self.words = np.empty((ROOM, words), np.uint64)
         self.words[0] = problem.initial
@@ -70,8 +70,8 @@ class Search:
 
     def run(self, progress: Progress | None) -> None:
         """Expand states until there are no more."""
-        chunks = [_Chunk(self) for _ in range(threads())]
-        with ThreadPoolExecutor(max(1, len(chunks) - 1)) as pool:
+        chunks = [_Chunk(self)]
+        with ThreadPoolExecutor(max(1, threads() - 1)) as pool:
             while self.expanded < self.found:
                 self._advance(chunks, pool)
                 if self.found > self.max_states:
@@ -86,11 +86,12 @@ class Search:
     def _advance(self, chunks: list[_Chunk], pool: ThreadPoolExecutor) -> None:
         """Expand some states, alone or side by side."""
         waiting = self.found - self.expanded
-        if len(chunks) == 1 or waiting < WORTH:
+        if threads() == 1 or waiting < WORTH:
             chunk = chunks[0]
             end = chunk.expand(self.expanded, self.expanded + STRETCH, alone=True)
             used, ends = [chunk], [end]
         else:
+            chunks += [_Chunk(self) for _ in range(threads() - len(chunks))]
             todo = min(waiting, STRETCH * len(chunks))
             used = chunks
             bounds = (np.linspace(0, todo, len(used) + 1).astype(int) + self.expanded).tolist()
@@ -112,12 +113,15 @@ class Search:
         last, rows, transitions, fresh, _ = chunk.counts.tolist()
         states = last - chunk.first
         self.make_room(self.found + fresh, self.rows + rows, self.transitions + transitions)
-        number = np.empty(fresh, np.int32)
-        self.found = kernel.settle(
-            self.table, self.words, self.found, self.salt, chunk.new, fresh, number
-        )
-        entries = slice(self.transitions, self.transitions + transitions)
-        kernel.put_numbers(transitions, chunk.next_state, number, self.next_state[entries])
+        next_state = self.next_state[self.transitions : self.transitions + transitions]
+        if fresh:
+            number = np.empty(fresh, np.int32)
+            self.found = kernel.settle(
+                self.table, self.words, self.found, self.salt, chunk.new, fresh, number
+            )
+            kernel.put_numbers(transitions, chunk.next_state, number, next_state)
+        else:
+            next_state[:] = chunk.next_state[:transitions]
         self.row_rule[self.rows : self.rows + rows] = chunk.row_rule[:rows]
         ends = slice(self.rows + 1, self.rows + rows + 1)
         np.add(chunk.row_transition[1 : rows + 1], self.transitions, out=self.row_transition[ends])
@@ -197,19 +201,19 @@ class _Chunk:
         rows, size = max(4 * STRETCH, 2 * most), max(16 * STRETCH, 2 * most)
         self.first = self.last = 0
         self.counts = np.zeros(5, np.int64)
-        self.state_row = np.zeros(STRETCH + 1, np.int64)
-        self.goal = np.zeros(STRETCH, np.bool_)
-        self.reward = np.zeros(STRETCH, np.float64)
-        self.row_rule = np.zeros(rows, np.int32)
-        self.row_transition = np.zeros(rows + 1, np.int32)
-        self.next_state = np.zeros(size, np.int32)
-        self.new = np.zeros((size, tables.words), np.uint64)
+        self.state_row = np.empty(STRETCH + 1, np.int64)
+        self.goal = np.empty(STRETCH, np.bool_)
+        self.reward = np.empty(STRETCH, np.float64)
+        self.row_rule = np.empty(rows, np.int32)
+        self.row_transition = np.empty(rows + 1, np.int32)
+        self.next_state = np.empty(size, np.int32)
+        self.new = np.empty((size, tables.words), np.uint64)
         self.clash = np.zeros(3, np.int64)
         words = tables.words
         sizes = (tables.extended_words, tables.rules // 64 + 1, words, words)
         self.room: list[Any] = [np.zeros(length, np.uint64) for length in sizes]
         self.room.append(np.zeros(max(tables.rules, len(tables.effect)) + 1, np.uint32))
-        self.room += [np.zeros((most + 1, words), np.uint64), np.zeros(most, np.int64)]
+        self.room += [np.empty((most + 1, words), np.uint64), np.empty(most, np.int64)]
         bits = 64 * tables.extended_words
         self.room += [np.zeros(length, np.uint64) for length in (bits, LANES, PLANES)]
         self.room.append(np.zeros((LANES, tables.extended_words), np.uint64))
