@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
@@ -18,7 +20,7 @@ import pytest
 import menid_plan
 from conftest import ROOT
 from environments_faulty import Faulty
-from menid_plan.environments.interface import CannotResetError, Execution
+from menid_plan.environments.interface import CannotResetError, EnvironmentFailedError, Execution
 from menid_plan.environments.pool import (
     Counts,
     ExecutionFailedError,
@@ -225,7 +227,7 @@ from menid_plan.grounding.state import GroundAction
 document = menid_plan.read(sys.argv[1])
 kind = Faulty(sys.argv[2], diary=sys.argv[3])
 spec = EnvironmentSpec("coarse", kind, document.domain, document.problem)
-pool = Pool([spec], 2)
+pool = Pool([spec], 2, *sys.argv[4:])
 for k in range(2):
     pool.submit("coarse", frozenset(document.problem.init), GroundAction("lever", ("n8",)), k)
     time.sleep(0.2)
@@ -253,10 +255,13 @@ def wait_until(condition: Any, seconds: float = 30) -> None:
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="there is no SIGKILL here")
 @pytest.mark.parametrize("fault", ["", "hang"])
 def test_workers_end_with_their_parent(tmp_path: Path, fault: str) -> None:
-    diary = tmp_path / "diary"
+    check_that_workers_end(tmp_path / "diary", fault)
+
+
+def check_that_workers_end(diary: Path, fault: str, *scheduler: str) -> None:
     problem = ROOT / "domains" / "hdd" / "bench.menid"
     parent = subprocess.Popen(
-        [sys.executable, "-c", PARENT, problem, fault, diary],
+        [sys.executable, "-c", PARENT, problem, fault, diary, *scheduler],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
         stderr=subprocess.DEVNULL,
     )
@@ -325,3 +330,120 @@ def test_no_scheduler_there() -> None:
         pytest.skip("needs the extra `dask`")
     with pytest.raises(MenidError, match="the scheduler at nonsense"):
         Pool([spec(Simulated())], 1, scheduler="nonsense://x")
+
+
+@pytest.mark.parametrize(
+    ("sent", "message"),
+    [
+        (b"HTTP/1.1 400 Bad Request\r\n\r\n", "what answers at tcp://.* is no Dask scheduler"),
+        (b"", "the scheduler at tcp://.* gives no answer within 0.5 s"),
+        (None, "the scheduler at tcp://.* gives no answer within 0.5 s"),
+    ],
+)
+def test_something_else_there(
+    monkeypatch: pytest.MonkeyPatch, sent: bytes | None, message: str
+) -> None:
+    if not find_spec("distributed"):
+        pytest.skip("needs the extra `dask`")
+    monkeypatch.setattr("menid_plan.environments.dask._PATIENCE", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+
+        def serve() -> None:
+            with server.accept()[0] as connection:
+                connection.sendall(sent or b"")
+                while connection.recv(1000):  # until the other side has had enough
+                    pass
+
+        if sent is None:
+            server.close()
+        else:
+            threading.Thread(target=serve, daemon=True).start()
+        with pytest.raises(EnvironmentFailedError, match=message):
+            Pool([spec(Simulated())], 1, scheduler=address)
+
+
+@pytest.mark.skipif(not find_spec("distributed"), reason="needs the extra `dask`")
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="there is no SIGKILL here")
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize("fault", ["", "hang"])
+def test_workers_of_a_scheduler_end_with_the_pool_that_was_killed(
+    tmp_path: Path, fault: str
+) -> None:
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=1, threads_per_worker=2, host="127.0.0.1", dashboard_address=None,
+        processes=False, protocol="tcp",
+    ) as cluster:  # fmt: skip
+        check_that_workers_end(tmp_path / "diary", fault, cluster.scheduler_address)
+
+
+@pytest.mark.skipif(not find_spec("distributed"), reason="needs the extra `dask`")
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="there is no SIGSTOP here")
+@pytest.mark.filterwarnings("default")
+def test_a_dask_worker_that_is_lost_or_stuck(tmp_path: Path, expected: list[Execution]) -> None:
+    from distributed import LocalCluster
+
+    failures: list[Failure] = []
+    diary = tmp_path / "diary"
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+    ) as cluster:
+        hanging = Faulty("hang", once=str(tmp_path), diary=str(diary))
+        with Pool([spec(hanging)], 1, cluster.scheduler_address, failures.append) as pool:
+            future = submitted(pool, 1)[0]
+            wait_until((tmp_path / "0").exists)
+            os.kill(cluster.workers[0].pid, signal.SIGKILL)
+            assert future.result(timeout=60) == expected[0]
+            assert pool.counts["coarse"] == Counts(executions=1, crashes=1)
+            assert [str(failure) for failure in failures] == [
+                "environment `coarse`, `lever(n8)`, execution 0, attempt 1: its Dask worker was lost"
+            ]
+            submitted(pool, 2)
+            wait_until((tmp_path / "1").exists)
+            stuck = cluster.workers[0].pid
+            os.kill(stuck, signal.SIGSTOP)
+            begun = time.monotonic()
+            pool.close()
+            assert time.monotonic() - begun < 8
+            os.kill(stuck, signal.SIGCONT)
+        for pid in map(int, diary.read_text().split()):
+            wait_until(lambda pid=pid: not is_alive(pid), 10)
+
+
+@pytest.mark.skipif(not find_spec("distributed"), reason="needs the extra `dask`")
+@pytest.mark.skipif(os.name == "nt", reason="sends SIGINT")
+@pytest.mark.filterwarnings("default")
+def test_ctrl_c_with_a_scheduler(tmp_path: Path) -> None:
+    from distributed import LocalCluster
+
+    folder = ROOT / "domains" / "greenhouse"
+    program = (folder / "simulator.py").read_text(encoding="utf-8")
+    slow = f"time.sleep(0.1); open({str(tmp_path / 'begun')!r}, 'w').close(); time.sleep(3600)"
+    program = program.replace("seconds = ", f"import time; {slow}; seconds = ")
+    (tmp_path / "simulator.py").write_text(program, encoding="utf-8")
+    with LocalCluster(
+        n_workers=1, threads_per_worker=2, host="127.0.0.1", dashboard_address=None,
+        processes=False, protocol="tcp",
+    ) as cluster:  # fmt: skip
+        workers = f'[workers]\nnumber = 2\nscheduler = "{cluster.scheduler_address}"\n'
+        run_file = tmp_path / "run.toml"
+        run_file.write_text((folder / "run.toml").read_text(encoding="utf-8") + workers, "utf-8")
+        process = subprocess.Popen(
+            [
+                sys.executable, "-c", "from menid_plan.cli.main import main; main()", "learn",
+                folder / "domain.menid", folder / "two-pots.menid", "--run", run_file,
+                "-o", tmp_path / "run",
+            ],
+            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        try:
+            wait_until((tmp_path / "begun").exists)
+            process.send_signal(signal.SIGINT)
+            _, said = process.communicate(timeout=8)
+        finally:
+            process.kill()
+            process.wait()
+        assert said == "interrupted; --resume goes on with this run\n"
+        assert process.returncode == 6
