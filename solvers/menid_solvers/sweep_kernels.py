@@ -7,6 +7,8 @@ A policy holds a row of the core for each unknown, -1 for ending at once (the fl
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from menid_plan.compiled import kernel
@@ -16,6 +18,19 @@ _ROWS = "i8[::1], i4[::1], u4[::1], i4[::1], f8[::1], f8[::1], f8[::1]"
 _TAKEN = "i8[::1], u4[::1], f8[::1], f8[::1]"
 
 HALF = 1.11022303e-16  # a little over 2^-53: added to 1 it makes the next double, not the one after
+
+
+@kernel(inline=True)
+def row_value(
+    row: Any, first_entry: Any, target: Any, row_weight: Any, weight: Any, constant: Any, x: Any
+) -> Any:
+    """What a row pays and expects of x."""
+    value = constant[row]
+    begin, end = np.uint64(first_entry[row]), np.uint64(first_entry[row + 1])
+    at = np.uint64(row_weight[row]) - begin
+    for k in range(begin, end):
+        value += weight[at + k] * x[target[k]]
+    return value
 
 
 @kernel(f"void(i8, i8, {_ROWS}, f8[::1], i8[::1], f8[::1])")
@@ -41,11 +56,7 @@ def sweep_all(
         best = floor[u]
         chosen = -1
         for i in range(first_row[u], first_row[u + 1]):
-            value = constant[i]
-            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
-            at = np.uint64(row_weight[i]) - begin
-            for k in range(begin, end):
-                value += weight[at + k] * x[target[k]]
+            value = row_value(i, first_entry, target, row_weight, weight, constant, x)
             if value > best:
                 best = value
                 chosen = i
@@ -205,11 +216,7 @@ def sweep_shortest_stay(
     for u in range(first, last):
         best = floor[u]
         for i in range(first_row[u], first_row[u + 1]):
-            value = constant[i]
-            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
-            at = np.uint64(row_weight[i]) - begin
-            for k in range(begin, end):
-                value += weight[at + k] * x[target[k]]
+            value = row_value(i, first_entry, target, row_weight, weight, constant, x)
             best = max(best, value)
         shortest = np.inf
         if floor[u] >= best - tie:
@@ -265,24 +272,15 @@ def choose_certified(
         best_hi = floor[u]
         best = floor[u]
         for i in range(first_row[u], first_row[u + 1]):
-            high = constant[i]
-            value = constant[i]
-            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
-            at = np.uint64(row_weight[i]) - begin
-            for k in range(begin, end):
-                high += weight[at + k] * hi[target[k]]
-                value += weight[at + k] * lo[target[k]]
+            high = row_value(i, first_entry, target, row_weight, weight, constant, hi)
+            value = row_value(i, first_entry, target, row_weight, weight, constant, lo)
             best_hi = max(best_hi, high)
             best = max(best, value)
         above = min(above, hi[u] - best_hi)
         kept = policy[u]
         worth = floor[u]
         for i in range(first_row[u], first_row[u + 1]):
-            value = constant[i]
-            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
-            at = np.uint64(row_weight[i]) - begin
-            for k in range(begin, end):
-                value += weight[at + k] * lo[target[k]]
+            value = row_value(i, first_entry, target, row_weight, weight, constant, lo)
             if i == kept:
                 worth = value
             if value >= best - tie and value >= lo[u] + margin:
@@ -375,19 +373,11 @@ def choose_policy(
             continue
         best = floor[u]
         for i in range(first_row[u], first_row[u + 1]):
-            value = constant[i]
-            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
-            at = np.uint64(row_weight[i]) - begin
-            for k in range(begin, end):
-                value += weight[at + k] * x[target[k]]
+            value = row_value(i, first_entry, target, row_weight, weight, constant, x)
             best = max(best, value)
         policy[u] = -1
         for i in range(first_row[u], first_row[u + 1]):
-            value = constant[i]
-            begin, end = np.uint64(first_entry[i]), np.uint64(first_entry[i + 1])
-            at = np.uint64(row_weight[i]) - begin
-            for k in range(begin, end):
-                value += weight[at + k] * x[target[k]]
+            value = row_value(i, first_entry, target, row_weight, weight, constant, x)
             if value >= best - tie:
                 policy[u] = i
                 break
