@@ -20,14 +20,17 @@ class Interrupts:
     """While it is entered, a signal raises KeyboardInterrupt at the next `check`, and a second at once.
 
     Signals that the program handles otherwise, and threads other than the main one, stay as they are.
+    It may be entered again within.
     """
 
     def __init__(self) -> None:
         self._came = False
         self._allowed = False
+        self._depth = 0
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Interrupts:
+        self._depth += 1
         if threading.current_thread() is threading.main_thread():
             for each, default in _DEFAULT.items():
                 if signal.getsignal(each) is default:
@@ -40,9 +43,11 @@ class Interrupts:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        for each, handler in self._before.items():
-            signal.signal(each, handler)
-        self._before.clear()
+        self._depth -= 1
+        if self._depth == 0:
+            for each, handler in self._before.items():
+                signal.signal(each, handler)
+            self._before.clear()
 
     def check(self) -> None:
         """Raise KeyboardInterrupt if a signal came."""

@@ -57,6 +57,17 @@ def test_where_they_are_allowed_they_come_at_once() -> None:
             raise AssertionError
 
 
+def test_entered_again_within() -> None:
+    interrupts = Interrupts()
+    with interrupts:
+        with interrupts:
+            pass
+        signal.raise_signal(signal.SIGTERM)
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.check()
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
 def test_handlers_of_the_program_stay() -> None:
     seen = []
     signal.signal(signal.SIGTERM, lambda *_: seen.append("mine"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -465,6 +466,22 @@ def test_a_run_that_is_terminated_ends_as_by_ctrl_c(levers: Menid) -> None:
     assert process.returncode == 6
     assert "interrupted; --resume goes on with this run" in said
     assert Path("out/learned.menid").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_a_signal_before_the_run_has_begun(levers: Menid, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr("menid_plan.learning.run.Planner", interrupt)
+    before = signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    try:
+        result = learn(levers)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert result.exit_code == 6
+    assert result.stderr == "menid: interrupted\n"
+    assert not Path("out").exists()
 
 
 # ------------------------------------------------------------------------------------- clocks, views

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from menid_plan.cli.common import existing_file, json_option, load_both, setting_option
+from menid_plan.interrupts import Interrupts
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -83,13 +84,15 @@ def command(
     table = read.workers if workers is None else replace(read.workers, number=workers)
     view = _View()
     interrupted = False
-    with prints_to_stderr():
+    interrupts = Interrupts()
+    with prints_to_stderr(), interrupts:
         try:
-            run = Run(
-                output, read.bind(domain, problem, settings), replace(learn, **given), table,
-                params=settings, resume=resume, watch=view.point, underway=view.point,
-                reported=view.reported,
-            )  # fmt: skip
+            with interrupts.allowed():
+                run = Run(
+                    output, read.bind(domain, problem, settings), replace(learn, **given), table,
+                    params=settings, resume=resume, watch=view.point, underway=view.point,
+                    reported=view.reported, interrupts=interrupts,
+                )  # fmt: skip
         except SettingError as error:
             if error.file:
                 raise

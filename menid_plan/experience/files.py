@@ -28,9 +28,8 @@ def guarded(path: Path, doing: str) -> Iterator[None]:
         code = getattr(error, "sqlite_errorname", "")
         if code.startswith("SQLITE_NOTADB"):
             raise StoreInputError(f"`{path}` is no store of experiences") from error
-        if code == "SQLITE_ERROR" or "decode to UTF-8" in str(
-            error
-        ):  # tables are not ours any more
+        # Tables that are not ours any more.
+        if code == "SQLITE_ERROR" or "decode to UTF-8" in str(error):
             raise StoreInputError(
                 f"cannot {doing} the store `{path}`, which is damaged: {error}"
             ) from error

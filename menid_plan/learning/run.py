@@ -63,8 +63,9 @@ class Run:
     """One learning run in a folder; ``watch`` is called with every point of its curve.
 
     ``underway`` is told how far the run is between two of these, while an action is tested.
-    ``reported`` is told in words of each execution that failed, from any thread. ``resume`` goes on
-    with the run that is there; one in which nothing was executed is replaced in any case. Settings are
+    ``reported`` is told in words of each execution that failed, from any thread. ``interrupts`` may
+    have been entered already, so that a signal before `learn` is not lost. ``resume`` goes on with
+    the run that is there; one in which nothing was executed is replaced in any case. Settings are
     looked at before anything is written: raises SettingError that names the key, UnsupportedError for
     an objective that the solver does not know, RunError or StoreError if the folder can't be used.
     """
@@ -81,6 +82,7 @@ class Run:
         watch: Callable[[Point], None] = lambda _: None,
         underway: Callable[[Point], None] = lambda _: None,
         reported: Callable[[str], None] = lambda _: None,
+        interrupts: Interrupts | None = None,
     ) -> None:
         self.folder = folder
         self.bound = bound
@@ -110,7 +112,7 @@ class Run:
             clock: Clock = VirtualClock()
             if settings.clock == "real":
                 clock = RealClock(self._curve.times())
-            self._interrupts = Interrupts()
+            self._interrupts = interrupts or Interrupts()
             executions = Executions(
                 bound, settings.seed, attributor, self.evidence, self.store, self.events, workers,
                 tests=settings.test_time > 0.0, interrupts=self._interrupts, reported=reported,
