@@ -39,12 +39,16 @@ def command(
     domain, problem = load_both(files)
     start = time.perf_counter()
     from menid_plan.exchange.explicit import model_paths, write_model
+    from menid_plan.mdp.explore import warm
 
     paths = [] if output is None else model_paths(output)
     distinct_outputs(files, *paths)
     task = which.task(domain, problem)
+    display = Display()
+    with display.during("starting"):
+        warm()
     startup = time.perf_counter() - start
-    explore(task, Display())
+    explore(task, display)
     structure, compiled = task.structure, task.structure.problem
     result: dict[str, Any] = {
         "facts": len(compiled.facts),
