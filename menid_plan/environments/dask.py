@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from menid_plan.environments.interface import Capabilities, EnvironmentFailedError, Execution
-from menid_plan.environments.pool import LocalLane
+from menid_plan.environments.lanes import LocalLane
 from menid_plan.environments.registry import EnvironmentSpec
 from menid_plan.environments.worker import Task, WorkerFailedError, WrongTaskError
 from menid_plan.errors import MenidError

@@ -1,8 +1,7 @@
 """Executions in several workers at once, each of which may crash or hang without harm to the others.
 
-A *lane* executes one task after the other: in a process of its own, in one on another machine (Dask),
-or, without workers, right here. What a task gives depends on its state, action and seed alone, so
-the number of lanes changes nothing but the time.
+Tasks go to lanes (see `menid_plan.environments.lanes`). What a task gives depends on its state, action
+and seed alone, so the number of lanes changes nothing but the time.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 from menid_plan.environments.interface import (
     CannotResetError,
@@ -22,9 +20,10 @@ from menid_plan.environments.interface import (
     EnvironmentFailedError,
     Execution,
 )
+from menid_plan.environments.lanes import HereLane, Lane, LocalLane
 from menid_plan.environments.registry import EnvironmentSpec
 from menid_plan.environments.session import without_name
-from menid_plan.environments.worker import Runner, Task, Trouble, Worker, WorkerFailedError
+from menid_plan.environments.worker import Task, Trouble, WorkerFailedError
 from menid_plan.grounding.state import GroundAction, State
 
 
@@ -84,97 +83,8 @@ class ExecutionFuture(Future[Execution]):
         self.number = number
 
 
-class Lane(Protocol):
-    """Executes one task after the other."""
-
-    def build(self, spec: EnvironmentSpec) -> Capabilities:
-        """Build an environment; raises as `run`."""
-
-    def run(self, spec: EnvironmentSpec, task: Task) -> Execution:
-        """Execute; raises EnvironmentFailedError, WorkerFailedError if a process was lost."""
-
-    def interrupt(self) -> None:
-        """Have what runs come to an end; called from another thread."""
-
-    def close(self) -> None:
-        """Let go of everything; called where `run` is."""
-
-
-class _Here:
-    """A lane in this process."""
-
-    def __init__(self, specs: Mapping[str, EnvironmentSpec]) -> None:
-        self._runner = Runner(specs)
-
-    def build(self, spec: EnvironmentSpec) -> Capabilities:
-        return self._runner.build(spec.name)
-
-    def run(self, spec: EnvironmentSpec, task: Task) -> Execution:  # noqa: ARG002
-        return self._runner.run(task)
-
-    def interrupt(self) -> None:
-        pass
-
-    def close(self) -> None:
-        self._runner.close()
-
-
-class LocalLane:
-    """A lane in a process of its own, which is started when needed and anew when lost."""
-
-    def __init__(self, specs: bytes) -> None:
-        self._specs = specs
-        self._worker: Worker | None = None
-        self._built: set[str] = set()
-
-    def build(self, spec: EnvironmentSpec) -> Capabilities:
-        """Build an environment in the process."""
-        try:
-            if self._worker is None:
-                self._worker = Worker(self._specs)
-            found = self._worker.build(spec.name, spec.start_timeout)
-        except WorkerFailedError:
-            self._lost()
-            raise
-        self._built.add(spec.name)
-        return found
-
-    def run(self, spec: EnvironmentSpec, task: Task) -> Execution:
-        """Execute in the process; building has a time limit of its own."""
-        if spec.name not in self._built:
-            self.build(spec)
-        assert self._worker is not None
-        try:
-            return self._worker.run(task, spec.timeout, _GRACE)
-        except WorkerFailedError:
-            self._lost()
-            raise
-        except EnvironmentFailedError:
-            self._built.discard(spec.name)  # it is built anew
-            raise
-
-    def _lost(self) -> None:
-        self._worker = None
-        self._built.clear()
-
-    def interrupt(self) -> None:
-        """Kill the process."""
-        worker = self._worker
-        if worker is not None:
-            worker.kill()
-
-    def close(self) -> None:
-        """End the process."""
-        if self._worker is not None:
-            self._worker.close()
-            self._lost()
-
-
 # Seconds that a scheduler may be without workers where no environment says how long it may start.
 _PATIENCE = 60.0
-
-# An environment that watches the time itself gets to say so, and to end its own processes.
-_GRACE = 1.0
 
 
 class Pool:
@@ -201,7 +111,7 @@ class Pool:
         self._pending: deque[ExecutionFuture] = deque()
         self._changed = threading.Condition(threading.RLock())
         self._closed = False
-        self._here: _Here | None = None
+        self._here: HereLane | None = None
         self._threads: list[threading.Thread] = []
         self._lanes: list[Lane] = []
         self._cluster = None
@@ -217,7 +127,7 @@ class Pool:
             data = pickle.dumps(self._specs)
             self._lanes = [LocalLane(data) for _ in range(workers)]
         else:
-            self._here = _Here(self._specs)
+            self._here = HereLane(self._specs)
         for lane in self._lanes:
             thread = threading.Thread(target=self._serve, args=(lane,), daemon=True)
             self._threads.append(thread)
