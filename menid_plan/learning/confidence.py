@@ -84,7 +84,7 @@ def _bonferroni(counts: Floats, epsilon: float) -> float:
     Two outcomes have the same error, which has all of epsilon. At a mode of 0 or 1 there is one side
     only, elsewhere each side has half.
     """
-    from scipy.special import betainccinv, betaincinv  # type: ignore[import-untyped]
+    from scipy.special import betainccinv, betaincinv
 
     q, alpha = mode(counts), counts + 1.0
     rest = alpha.sum() - alpha

@@ -335,7 +335,7 @@ def _beta_density(t: Floats, a: float, b: float) -> Floats:
 
 def _share_within(t: Floats, one: _Part, two: _Part) -> Floats:
     """The probability that both are in their ranges given that they sum to t, for each t."""
-    from scipy.special import betainc  # type: ignore[import-untyped]
+    from scipy.special import betainc
 
     low = np.maximum(t - (two.q + two.d), max(0.0, one.q - one.d))
     high = np.minimum(np.minimum(t - (two.q - two.d), one.q + one.d), t)

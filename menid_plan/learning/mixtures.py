@@ -24,7 +24,7 @@ _MANY = 3000
 def log_gamma(values: Floats) -> Floats:
     """The logarithms of the gamma function at positive numbers (an array of any shape)."""
     if values.size >= _MANY:
-        from scipy.special import gammaln  # type: ignore[import-untyped]
+        from scipy.special import gammaln
 
         found: Floats = gammaln(values)
         return found

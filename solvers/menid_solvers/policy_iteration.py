@@ -16,7 +16,7 @@ from menid_plan.solving import Objective, Progress, Solution, Status, Unsupporte
 from menid_solvers.options import demand_at_least, demand_positive, demand_share
 
 if TYPE_CHECKING:
-    from scipy.sparse import csc_matrix, csr_matrix  # type: ignore[import-untyped]
+    from scipy.sparse import csc_matrix, csr_matrix
 
 DENSE = 300  # up to so many states a dense solve is the faster
 SPARSE = 5000  # and up to so many elimination is
@@ -373,7 +373,7 @@ def _linear_solve(system: csc_matrix, right: Floats, contracts: bool) -> Floats:
     Elimination may fill a large sparse matrix up; where the iteration contracts BiCGSTAB (van der
     Vorst 1992) is tried first, and its answer counts if the residual is down to rounding.
     """
-    from scipy.sparse.linalg import bicgstab, spsolve  # type: ignore[import-untyped]
+    from scipy.sparse.linalg import bicgstab, spsolve
 
     if len(right) <= DENSE:
         return np.asarray(np.linalg.solve(system.toarray(), right))

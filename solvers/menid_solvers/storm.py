@@ -205,7 +205,7 @@ class StormModel:
         ended: Bools | None = None,
     ) -> StormModel:
         """Build it from the rows (bool[r]); states without any loop, and are paid at_end."""
-        from scipy.sparse import csr_matrix  # type: ignore[import-untyped]
+        from scipy.sparse import csr_matrix
 
         _, data, models = import_stormpy()
         counts = np.add.reduceat(np.append(rows, False).astype(np.int64), mdp.state_row[:-1])

@@ -1,0 +1,243 @@
+"""A hard drive on a table, as an environment: actions on its objects, atoms of its state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from menid_plan.environments.hdd.engine import EngineSettings, Pose
+from menid_plan.environments.hdd.kind import Deviations, Hdd
+from menid_plan.environments.hdd.lever import Lever, lever
+from menid_plan.environments.hdd.meshes import Source, part_mesh
+from menid_plan.environments.hdd.scene import TABLE, Physics, Scene, level, turned
+from menid_plan.environments.hdd.shake import FREQUENCY, Shake, shake
+from menid_plan.environments.hdd.suck import Suck, suck
+from menid_plan.environments.hdd.symbols import PREDICATES, Seen
+from menid_plan.environments.interface import (
+    CannotResetError,
+    Capabilities,
+    EnvironmentFailedError,
+    Execution,
+)
+from menid_plan.environments.registry import Place
+from menid_plan.environments.settings import SettingError
+from menid_plan.grounding.state import GroundAction, State, state_text
+from menid_plan.model.domain import Domain, Problem
+from menid_plan.model.formulas import GroundAtom
+
+# The attributes of the objects that each action is about, in the order of its arguments.
+ACTIONS: dict[str, tuple[tuple[str, ...], ...]] = {
+    "lever": (("x", "y", "direction"),),
+    "shake": (("degrees",),),
+    "suck": (("x", "y"), ("pascal",)),
+}
+
+# A board that sank deeper than this into something, in mm, is an error of the computation.
+DEEPEST = 0.5
+# How often a pose for a state is drawn before it is given up.
+TRIES = 10
+
+NO_ERRORS: Mapping[str, float] = {field.name: 0.0 for field in fields(Deviations)}
+
+
+class HddEnvironment:
+    """The board's pose is kept between executions; each has a world of its own, built anew.
+
+    (A world that is put back to what was saved does not go on to the bit as before; one that is built
+    anew does.)
+    """
+
+    capabilities = Capabilities()
+
+    def __init__(self, kind: Hdd, place: Place) -> None:
+        self._kind = kind
+        self._arguments = _arguments(place.domain, place.problem)
+        self._known = _known(place.domain, _parts(place.domain, place.problem))
+        self._predicates = {atom.predicate for atom in self._known}
+        self._init = frozenset(place.problem.init)
+        self._others: State = frozenset(a for a in self._init if a not in self._known)
+        meshes = {
+            part: part_mesh(Source(part, kind.scan(part, place.folder)), kind.quality).mesh
+            for part in ("board", "bay")
+        }
+        self._meshes = meshes["board"], meshes["bay"]
+        self._pose = level()
+        self._force = 0.0
+        self._rng: np.random.Generator | None = None
+
+    def reset(self, state: State | None, seed: int) -> State:
+        """Put the board where the state says; CannotResetError for one in which it can't rest."""
+        wanted = self._init if state is None else state
+        self._rng = np.random.default_rng(seed)
+        self._others = frozenset(a for a in wanted if a not in self._known)
+        self._force = 0.0
+        aim = frozenset(a for a in wanted if a in self._known)
+        for _ in range(TRIES):
+            pose = self._drawn(aim)
+            if pose is None:
+                break
+            with self._scene(pose) as scene:
+                scene.rest()
+                self._pose = scene.pose
+            if self._atoms() == aim:
+                return self.state()
+        raise CannotResetError(f"the board can't be put so that this holds: {state_text(aim)}")
+
+    def execute(self, action: GroundAction) -> Execution:
+        """Execute an action; EnvironmentFailedError if the computation breaks down."""
+        if self._rng is None:
+            raise EnvironmentFailedError("it was not reset")
+        values = [
+            {name: self._arguments[argument][name] for name in names}
+            for names, argument in zip(ACTIONS[action.action], action.arguments, strict=True)
+        ]
+        numbers = {name: value for found in values for name, value in found.items()}
+        errors = self._errors()
+        run = prepared(action.action, numbers, errors, self._kind.force)
+        with self._scene(self._pose, errors) as scene:
+            scene.rest()
+            run(scene)
+            depth = scene.world.deepest(scene.board)
+            if not np.isfinite(scene.pose.position).all() or depth > DEEPEST:
+                raise EnvironmentFailedError(
+                    f"`{action}`: the computation broke down: the board is {depth:.1f} mm inside"
+                    " another body"
+                )
+            self._pose = scene.pose
+            self._force = max(self._force, scene.peak_force)
+        return Execution(self.state())
+
+    def state(self) -> State:
+        """The atoms that hold."""
+        return self._atoms() | self._others
+
+    def close(self) -> None:
+        """There is nothing to let go of: each execution has closed its world."""
+
+    def _errors(self) -> Mapping[str, float]:
+        """How far everything errs in one execution."""
+        assert self._rng is not None
+        found = {}
+        for field in fields(self._kind.deviations):
+            deviation = getattr(self._kind.deviations, field.name)
+            found[field.name] = float(self._kind.noise * deviation * self._rng.standard_normal())
+        return found
+
+    def _scene(self, pose: Pose, errors: Mapping[str, float] = NO_ERRORS) -> Scene:
+        kind = self._kind
+        engine = EngineSettings(kind.step, kind.iterations, kind.threshold, kind.margin)
+        physics = Physics(
+            engine,
+            1000 * kind.gravity,
+            kind.friction * np.exp(errors["friction"]),
+            min(kind.restitution * np.exp(errors["restitution"]), 1.0),
+        )
+        return Scene(*self._meshes, physics, pose, watched="damaged" in self._predicates)
+
+    def _drawn(self, aim: State) -> Pose | None:
+        """A pose in which the board may come to rest so that the atoms hold; None if there is none."""
+        assert self._rng is not None
+        names = {atom.predicate for atom in aim}
+        place = self._kind.noise * self._kind.deviations.place * self._rng.standard_normal(2)
+        if (
+            "damaged" in names
+            or names & {"tilted", "flipped"}
+            or len(names & {"in", "on-table"}) != 1
+        ):
+            return None  # a board does not stay like that, or it is nowhere
+        if "on-table" in names:
+            return level(0.0, -130.0, TABLE + 3.0)
+        if "loose" not in names:
+            return level(place[0], place[1], 0.3)
+        # One of its long edges has come to lie on the frame.
+        side = self._rng.choice([-1.0, 1.0])
+        lean = Rotation.from_euler("x", -2.2 * side, degrees=True)
+        return turned(lean, np.array([place[0], side * self._rng.uniform(1.5, 4.0), 1.6]))
+
+    def _atoms(self) -> State:
+        """What the predicates of the scene say of the board."""
+        seen = Seen.of(self._pose, self._force)
+        return frozenset(atom for atom in self._known if PREDICATES[atom.predicate][1](seen))
+
+
+def prepared(
+    action: str, numbers: Mapping[str, float], errors: Mapping[str, float], force: float
+) -> Callable[[Scene], None]:
+    """What carries an action out in a scene."""
+    if action == "lever":
+        hand = Lever(
+            numbers["x"], numbers["y"], numbers["direction"], errors["across"], errors["above"],
+            errors["deeper"], errors["askew"], force,
+        )  # fmt: skip
+        return lambda scene: lever(scene, hand)
+    if action == "shake":
+        swing = Shake(
+            numbers["degrees"] * (1 + errors["swing"]), FREQUENCY * (1 + errors["frequency"])
+        )
+        return lambda scene: shake(scene, swing)
+    cup = Suck(
+        numbers["x"] + errors["spot_x"], numbers["y"] + errors["spot_y"],
+        numbers["pascal"] * (1 + errors["pressure"]),
+    )  # fmt: skip
+    return lambda scene: suck(scene, cup)
+
+
+def _arguments(domain: Domain, problem: Problem) -> dict[str, dict[str, float]]:
+    """The attributes of all objects that actions are about; SettingError for what is missing."""
+    objects = (*domain.constants, *problem.objects)
+    for action in domain.actions:
+        if action.name not in ACTIONS:
+            raise SettingError(
+                "", f"the scene has no action `{action.name}`; it has {', '.join(ACTIONS)}"
+            )
+        asked = ACTIONS[action.name]
+        if len(action.parameters) != len(asked):
+            raise SettingError(
+                "", f"`{action.name}` has {len(action.parameters)} parameters, and the scene gives it"
+                f" {len(asked)}"
+            )  # fmt: skip
+        for parameter, names in zip(action.parameters, asked, strict=True):
+            for thing in objects:
+                if not any(t in parameter.types for t in domain.supertypes(thing.type)):
+                    continue
+                have = dict(thing.attributes)
+                missing = [name for name in names if name not in have]
+                if missing:
+                    raise SettingError(
+                        "", f"the object `{thing.name}` of problem `{problem.name}` lacks the attribute"
+                        f" `{missing[0]}`, which `{action.name}` needs"
+                    )  # fmt: skip
+    return {thing.name: dict(thing.attributes) for thing in objects}
+
+
+def _parts(domain: Domain, problem: Problem) -> dict[str, str]:
+    """The names of the one board and the one bay."""
+    objects = (*domain.constants, *problem.objects)
+    found = {}
+    for part, kind in (("board", "pcb"), ("bay", "bay")):
+        names = [o.name for o in objects if kind in domain.supertypes(o.type)]
+        if len(names) != 1:
+            raise SettingError(
+                "", f"the scene has one {part}, and problem `{problem.name}` has"
+                f" {len(names)} objects of type `{kind}`"
+            )  # fmt: skip
+        found[part] = names[0]
+    return found
+
+
+def _known(domain: Domain, parts: Mapping[str, str]) -> frozenset[GroundAtom]:
+    """The atoms that the scene tells: of those predicates that the domain declares."""
+    found = []
+    for predicate in domain.predicates:
+        if predicate.name in PREDICATES:
+            about, _ = PREDICATES[predicate.name]
+            if len(predicate.arguments) != len(about):
+                raise SettingError(
+                    "", f"`{predicate.name}` has {len(predicate.arguments)} arguments, and what the"
+                    f" scene tells has {len(about)}"
+                )  # fmt: skip
+            found.append(GroundAtom(predicate.name, tuple(parts[part] for part in about)))
+    return frozenset(found)

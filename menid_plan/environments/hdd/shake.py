@@ -1,0 +1,91 @@
+"""The drive is shaken to and fro about an axis beside it, until the board jumps out.
+
+The scene is computed in the frame that turns with the drive, so that the bay stands still: a bay that
+moves would throw the board about by the errors of its contacts. The board gets what mechanics adds in
+such a frame: turned gravity, and the Euler, centrifugal and Coriolis forces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from menid_plan.environments.hdd.scene import BOARD_INERTIA, BOARD_MASS, Scene
+
+PIVOT = np.array([0.0, -150.0, 0.0])  # mm: a point of the axis, which runs along the drive
+FREQUENCY = 10.0  # Hz
+DURATION = 1.0  # s
+RAMP = 0.15  # s, over which the amplitude grows at the beginning and falls at the end
+# Where the drive is thrown with more than this share of gravity, the board leaves its seat and comes
+# back at half a metre per second: it would sink into the bay if the steps were not shorter.
+LOOSE, FINER = 0.9, 4
+OUT = 25.0  # mm: a board so far from its seat will not come back
+
+
+@dataclass(frozen=True, slots=True)
+class Shake:
+    """``degrees`` to each side, ``frequency`` in Hz."""
+
+    degrees: float
+    frequency: float = FREQUENCY
+
+    def angles(self, time: float) -> tuple[float, float, float]:
+        """The angle of the drive (rad), its rate and its acceleration, at a time in seconds."""
+        # The envelope is eased, so that the rate begins at 0; its derivatives are kept.
+        amplitude = np.radians(self.degrees)
+        omega = 2 * np.pi * self.frequency
+        envelope, slope, bend = _envelope(time)
+        s, c = np.sin(omega * time), np.cos(omega * time)
+        return (
+            float(amplitude * envelope * s),
+            float(amplitude * (slope * s + envelope * omega * c)),
+            float(amplitude * (bend * s + 2 * slope * omega * c - envelope * omega**2 * s)),
+        )
+
+
+def _envelope(time: float) -> tuple[float, float, float]:
+    """The share of the amplitude at a time, with its first and second derivatives."""
+    for share, sign in ((time / RAMP, 1.0), ((DURATION - time) / RAMP, -1.0)):
+        if share <= 0:
+            return 0.0, 0.0, 0.0
+        if share < 1:  # 10 s^3 - 15 s^4 + 6 s^5: smooth to the second derivative
+            s2 = share * share
+            value = s2 * share * (10 - 15 * share + 6 * s2)
+            first = 30 * s2 * (1 - share) ** 2 / RAMP
+            second = 60 * share * (1 - share) * (1 - 2 * share) / RAMP**2
+            return value, sign * first, second
+    return 1.0, 0.0, 0.0
+
+
+def shake(scene: Scene, action: Shake) -> None:
+    """Carry the action out in a scene."""
+    world = scene.world
+    usual = world.dt
+    gravity = scene.physics.gravity
+    peak = np.radians(action.degrees) * (2 * np.pi * action.frequency) ** 2 * np.linalg.norm(PIVOT)
+    if peak > LOOSE * gravity:
+        world.set_step(usual / FINER)
+    step = world.dt
+    inertia = np.array(BOARD_INERTIA)
+    for number in range(round(DURATION / step)):
+        angle, rate, acceleration = action.angles(number * step)
+        pose = world.pose(scene.board)
+        velocity, _ = world.velocity(scene.board)
+        # About the x axis: cross products written out.
+        _, y, z = pose.position - PIVOT
+        _, vy, vz = velocity
+        turned = -gravity * np.array([0.0, np.sin(angle), np.cos(angle) - 1.0])
+        euler = acceleration * np.array([0.0, z, -y])
+        centrifugal = rate**2 * np.array([0.0, y, z])
+        coriolis = 2 * rate * np.array([0.0, vz, -vy])
+        apparent = (turned + euler + centrifugal + coriolis) / 1000  # m/s^2
+        world.push(scene.board, BOARD_MASS * apparent, pose.position)
+        matrix = pose.matrix
+        about_x = matrix @ (inertia * matrix[0])  # the inertia tensor times the x axis, kg mm^2
+        world.twist(scene.board, -acceleration * about_x / 1000)
+        scene.step()
+        if max(abs(pose.position[:2])) > OUT:
+            break
+    world.set_step(usual)
+    scene.rest()
