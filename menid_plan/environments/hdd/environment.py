@@ -64,8 +64,8 @@ class HddEnvironment:
             for part in ("board", "bay")
         }
         self._meshes = meshes["board"], meshes["bay"]
-        self._pose = level()
-        self._force = 0.0
+        self.pose = level()
+        self.force = 0.0
         self._rng: np.random.Generator | None = None
 
     def reset(self, state: State | None, seed: int) -> State:
@@ -73,7 +73,7 @@ class HddEnvironment:
         wanted = self._init if state is None else state
         self._rng = np.random.default_rng(seed)
         self._others = frozenset(a for a in wanted if a not in self._known)
-        self._force = 0.0
+        self.force = 0.0
         aim = frozenset(a for a in wanted if a in self._known)
         for _ in range(TRIES):
             pose = self._drawn(aim)
@@ -81,7 +81,7 @@ class HddEnvironment:
                 break
             with self._scene(pose) as scene:
                 scene.rest()
-                self._pose = scene.pose
+                self.pose = scene.pose
             if self._atoms() == aim:
                 return self.state()
         raise CannotResetError(f"the board can't be put so that this holds: {state_text(aim)}")
@@ -97,7 +97,7 @@ class HddEnvironment:
         numbers = {name: value for found in values for name, value in found.items()}
         errors = self._errors()
         run = prepared(action.action, numbers, errors, self._kind.force)
-        with self._scene(self._pose, errors) as scene:
+        with self._scene(self.pose, errors) as scene:
             scene.rest()
             run(scene)
             depth = scene.world.deepest(scene.board)
@@ -106,8 +106,8 @@ class HddEnvironment:
                     f"`{action}`: the computation broke down: the board is {depth:.1f} mm inside"
                     " another body"
                 )
-            self._pose = scene.pose
-            self._force = max(self._force, scene.peak_force)
+            self.pose = scene.pose
+            self.force = max(self.force, scene.peak_force)
         return Execution(self.state())
 
     def state(self) -> State:
@@ -154,12 +154,12 @@ class HddEnvironment:
             return level(place[0], place[1], 0.3)
         # One of its long edges has come to lie on the frame.
         side = self._rng.choice([-1.0, 1.0])
-        lean = Rotation.from_euler("x", -2.2 * side, degrees=True)
-        return turned(lean, np.array([place[0], side * self._rng.uniform(1.5, 4.0), 1.6]))
+        lean = Rotation.from_euler("x", 2.2 * side, degrees=True)
+        return turned(lean, np.array([place[0], side * self._rng.uniform(2.0, 4.0), 1.5]))
 
     def _atoms(self) -> State:
         """What the predicates of the scene say of the board."""
-        seen = Seen.of(self._pose, self._force)
+        seen = Seen.of(self.pose, self.force)
         return frozenset(atom for atom in self._known if PREDICATES[atom.predicate][1](seen))
 
 

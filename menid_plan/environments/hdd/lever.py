@@ -111,13 +111,14 @@ def lever(scene: Scene, action: Lever) -> None:
             world.move(held, action.at(number * step), force)
             scene.step()
 
-    follow(0.0, INSERT, GENTLE)
+    gentle = min(GENTLE, action.force)
+    follow(0.0, INSERT, gentle)
     aim = action.at(INSERT)
     missed = world.pose(tool).position - aim.position
     if np.linalg.norm(missed) < REACHED:
         follow(INSERT, action.duration, action.force)
     else:  # the hand feels that the lever did not go in, and takes it back
         for number in range(round(WITHDRAW / step)):
-            world.move(held, action.at(INSERT - number * step * INSERT / WITHDRAW), GENTLE)
+            world.move(held, action.at(INSERT - number * step * INSERT / WITHDRAW), gentle)
             scene.step()
     scene.rest()
