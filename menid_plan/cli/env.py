@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, asdict, fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -66,6 +66,8 @@ def _setting(field: Any) -> dict[str, Any]:
     default = None if field.default is MISSING else field.default
     if not required and field.default is MISSING:
         default = field.default_factory()
+    if is_dataclass(default) and not isinstance(default, type):
+        default = asdict(default)
     return {"type": str(field.type), "required": required, "default": default}
 
 

@@ -35,8 +35,10 @@ ACTIONS: dict[str, tuple[tuple[str, ...], ...]] = {
     "suck": (("x", "y"), ("pascal",)),
 }
 
-# A board that sank deeper than this into something, in mm, is an error of the computation.
+# A board that sank deeper than this into something, in mm, is an error of the computation: then all of
+# it is computed again, with steps so many times shorter.
 DEEPEST = 0.5
+FINER = (1, 2, 4)
 # How often a pose for a state is drawn before it is given up.
 TRIES = 10
 
@@ -97,18 +99,19 @@ class HddEnvironment:
         numbers = {name: value for found in values for name, value in found.items()}
         errors = self._errors()
         run = prepared(action.action, numbers, errors, self._kind.force)
-        with self._scene(self.pose, errors) as scene:
-            scene.rest()
-            run(scene)
-            depth = scene.world.deepest(scene.board)
-            if not np.isfinite(scene.pose.position).all() or depth > DEEPEST:
-                raise EnvironmentFailedError(
-                    f"`{action}`: the computation broke down: the board is {depth:.1f} mm inside"
-                    " another body"
-                )
-            self.pose = scene.pose
-            self.force = max(self.force, scene.peak_force)
-        return Execution(self.state())
+        depth = 0.0
+        for finer in FINER:
+            with self._scene(self.pose, errors, finer) as scene:
+                scene.rest()
+                run(scene)
+                depth = scene.world.deepest(scene.board)
+                if np.isfinite(scene.pose.position).all() and depth <= DEEPEST:
+                    self.pose = scene.pose
+                    self.force = max(self.force, scene.peak_force)
+                    return Execution(self.state())
+        raise EnvironmentFailedError(
+            f"`{action}`: the computation broke down: the board is {depth:.1f} mm inside another body"
+        )
 
     def state(self) -> State:
         """The atoms that hold."""
@@ -126,9 +129,9 @@ class HddEnvironment:
             found[field.name] = float(self._kind.noise * deviation * self._rng.standard_normal())
         return found
 
-    def _scene(self, pose: Pose, errors: Mapping[str, float] = NO_ERRORS) -> Scene:
+    def _scene(self, pose: Pose, errors: Mapping[str, float] = NO_ERRORS, finer: int = 1) -> Scene:
         kind = self._kind
-        engine = EngineSettings(kind.step, kind.iterations, kind.threshold, kind.margin)
+        engine = EngineSettings(kind.step / finer, kind.iterations, kind.threshold, kind.margin)
         physics = Physics(
             engine,
             1000 * kind.gravity,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -55,7 +56,9 @@ class Hdd:
 
     name: ClassVar[str] = "hdd"
     promise: ClassVar[str] = "a board is levered, shaken or sucked out of a hard drive, in PyBullet"
-    needs: ClassVar[str] = "menid-plan[hdd]"
+    needs: ClassVar[str] = (
+        "pybullet>=3.2.7" if sys.version_info < (3, 12) else "pybullet-arm64>=3.2.8"
+    )
 
     quality: float = 0.01
     noise: float = 0.0
