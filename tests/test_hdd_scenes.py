@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner, Result
 from scipy.spatial.transform import Rotation
 
 import menid_plan
@@ -19,9 +20,11 @@ from conftest import ROOT
 
 pytest.importorskip("pybullet", reason="the extra `hdd` is not installed")
 
+from menid_plan.cli.main import main
 from menid_plan.environments.hdd.cells import cells, clipped
 from menid_plan.environments.hdd.engine import EngineSettings, Pose, Surface, World
 from menid_plan.environments.hdd.environment import HddEnvironment
+from menid_plan.environments.hdd.film import film
 from menid_plan.environments.hdd.geometry import SHAPES
 from menid_plan.environments.hdd.kind import Deviations, Hdd
 from menid_plan.environments.hdd.mesh import TriangleMesh
@@ -399,3 +402,79 @@ def test_without_the_extra_it_says_what_to_install(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(extra, "find_spec", lambda name: None if name == "pybullet" else 1)
     with pytest.raises(EnvironmentFailedError, match=r"pybullet: pip install 'menid-plan\[hdd\]'"):
         Hdd().build(PLACE)
+
+
+# -------------------------------------------------------------------------------------- pictures
+
+DRIVE = [str(ROOT / "domains" / "hdd" / name) for name in ("domain.menid", "drive.menid")]
+RUN = """
+[environment.fine]
+kind = "hdd"
+role = "target"
+settings = { quality = 0.003 }
+
+[environment.coarse]
+kind = "simulated"
+"""
+
+
+def render(folder: Path, *arguments: str) -> Result:
+    (folder / "run.toml").write_text(RUN)
+    return CliRunner().invoke(
+        main, ["render", *DRIVE, *arguments, "--run", str(folder / "run.toml")]
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "begins"), [("gif", b"GIF89a"), ("png", b"\x89PNG"), ("mp4", b"ftyp")]
+)
+def test_an_execution_is_filmed(tmp_path: Path, kind: str, begins: bytes) -> None:
+    out = tmp_path / f"lever.{kind}"
+    found = render(tmp_path, "lever(n8)", "-o", str(out))
+    assert found.exit_code == 0, found.output
+    assert found.stdout == "lever(n8): on-table(board)\n"
+    assert begins in out.read_bytes()[:12]
+
+
+def test_in_the_pictures_the_board_moves_and_colours_tell_it_from_the_rest() -> None:
+    found = film(environment(), GroundAction("suck", ("centre", "strong")), None, 1)
+
+    def middle_of_green(picture: Any) -> Any:
+        red, green, blue = picture.astype(int).transpose(2, 0, 1)
+        rows, columns = np.nonzero((green > red + 40) & (green > blue + 20))
+        assert len(rows) > 1000
+        return np.array([rows.mean(), columns.mean()])
+
+    first, last = found.pictures[0], found.pictures[-1]
+    assert first.shape == (352, 480, 3)
+    assert np.linalg.norm(middle_of_green(last) - middle_of_green(first)) > 50
+    assert 20 <= len(found.pictures) <= 60
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["lever(n8)"], 2, "-o"),
+        (["lever(n8)", "-o", "x.jpg"], 2, "must be .gif, .mp4 or .png"),
+        (["lever(n8)", "-o", "nowhere/x.gif"], 2, "there is no folder nowhere"),
+        (["lever(n99)", "-o", "x.gif"], 3, "n99"),
+        (["lever(n8)", "-o", "x.gif", "--env", "coarse"], 5, "has nothing to be seen"),
+        (["lever(n8)", "-o", "x.gif", "--env", "robot"], 2, "no environment `robot`"),
+    ],
+)
+def test_what_cannot_be_filmed_is_told(
+    tmp_path: Path, arguments: list[str], code: int, message: str
+) -> None:
+    found = render(tmp_path, *arguments)
+    assert found.exit_code == code, found.output
+    assert message in found.output
+
+
+def test_without_a_screen_there_is_no_window(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.setattr("sys.platform", "linux")
+    found = render(tmp_path, "lever(n8)", "--gui")
+    assert found.exit_code == 5
+    assert "there is no screen" in found.output

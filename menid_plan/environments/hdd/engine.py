@@ -35,16 +35,15 @@ def bullet() -> ModuleType:
     """PyBullet; EnvironmentFailedError with the extra to install where it is missing."""
     require()
     if "pybullet" not in sys.modules:
-        # It prints when it was built as it is imported, from C: nothing that a program that reads our
-        # output expects.
+        # As it is imported it says, from C, when it was built: nothing for who reads what we print.
         with tempfile.TemporaryFile() as away:
-            sys.stdout.flush()
-            kept = os.dup(1)
-            os.dup2(away.fileno(), 1)
+            sys.stderr.flush()
+            kept = os.dup(2)
+            os.dup2(away.fileno(), 2)
             try:
                 importlib.import_module("pybullet")
             finally:
-                os.dup2(kept, 1)
+                os.dup2(kept, 2)
                 os.close(kept)
     return sys.modules["pybullet"]
 
@@ -335,6 +334,28 @@ class World:
         pair = {} if other is None else {"bodyB": other}
         points = self._p.getContactPoints(bodyA=one, physicsClientId=self._id, **pair)
         return [(point[2], point[9] / FORCE, point[8] / CM) for point in points]
+
+    def ghost(self, radius: float, height: float, colour: Sequence[float]) -> int:
+        """An upright cylinder that is seen, and touches nothing."""
+        visual = self._p.createVisualShape(
+            self._p.GEOM_CYLINDER, radius=CM * radius, length=CM * height, rgbaColor=list(colour),
+            physicsClientId=self._id,
+        )  # fmt: skip
+        body: int = self._p.createMultiBody(0, -1, visual, physicsClientId=self._id)
+        return body
+
+    def picture(
+        self, eye: Vector, middle: Vector, up: Vector, width: int, height: int
+    ) -> NDArray[np.uint8]:
+        """What a camera sees: (height, width, 3). Only worlds that are ``drawn`` show their shapes."""
+        view = self._p.computeViewMatrix((CM * eye).tolist(), (CM * middle).tolist(), up.tolist())
+        lens = self._p.computeProjectionMatrixFOV(38, width / height, 1, 400)
+        _, _, pixels, _, _ = self._p.getCameraImage(
+            width, height, view, lens, renderer=self._p.ER_TINY_RENDERER, shadow=0,
+            lightDirection=[-20, -30, 60], physicsClientId=self._id,
+        )  # fmt: skip
+        found = np.asarray(pixels, np.uint8).reshape(height, width, 4)
+        return np.ascontiguousarray(found[:, :, :3])
 
     def deepest(self, body: int) -> float:
         """How far a body has sunk into others, in mm."""

@@ -66,6 +66,9 @@ class HddEnvironment:
             for part in ("board", "bay")
         }
         self._meshes = meshes["board"], meshes["bay"]
+        # For pictures: bodies get shapes to be seen, and something is called after each step of time.
+        self.drawn = self.window = False
+        self.after_step: Callable[[Scene], None] | None = None
         self.pose = level()
         self.force = 0.0
         self._rng: np.random.Generator | None = None
@@ -117,6 +120,12 @@ class HddEnvironment:
         """The atoms that hold."""
         return self._atoms() | self._others
 
+    def view(self, action: GroundAction) -> float:
+        """From where an action is best seen, in degrees around the drive."""
+        if action.action == "lever":  # from beside the hand
+            return self._arguments[action.arguments[0]]["direction"] + 180.0 + 55.0
+        return 25.0 if action.action == "suck" else -60.0
+
     def close(self) -> None:
         """There is nothing to let go of: each execution has closed its world."""
 
@@ -138,7 +147,10 @@ class HddEnvironment:
             kind.friction * np.exp(errors["friction"]),
             min(kind.restitution * np.exp(errors["restitution"]), 1.0),
         )
-        return Scene(*self._meshes, physics, pose, watched="damaged" in self._predicates)
+        return Scene(
+            *self._meshes, physics, pose, window=self.window, drawn=self.drawn,
+            watched="damaged" in self._predicates, after_step=self.after_step,
+        )  # fmt: skip
 
     def _drawn(self, aim: State) -> Pose | None:
         """A pose in which the board may come to rest so that the atoms hold; None if there is none."""

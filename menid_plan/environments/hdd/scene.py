@@ -91,6 +91,8 @@ class Scene:
         self.watched = watched
         self.after_step = after_step
         self.peak_force = 0.0
+        # How far the frame in which all of this is computed is turned, in rad: for pictures.
+        self.frame_angle = 0.0
 
     def __enter__(self) -> Scene:
         return self

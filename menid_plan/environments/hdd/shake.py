@@ -84,8 +84,10 @@ def shake(scene: Scene, action: Shake) -> None:
         matrix = pose.matrix
         about_x = matrix @ (inertia * matrix[0])  # the inertia tensor times the x axis, kg mm^2
         world.twist(scene.board, -acceleration * about_x / 1000)
+        scene.frame_angle = angle
         scene.step()
         if max(abs(pose.position[:2])) > OUT:
             break
+    scene.frame_angle = 0.0
     world.set_step(usual)
     scene.rest()

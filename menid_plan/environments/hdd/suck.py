@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from menid_plan.environments.hdd.mesh import Points, TriangleMesh
-from menid_plan.environments.hdd.scene import BOARD_MASS, Scene, eased
+from menid_plan.environments.hdd.scene import BLACK, BOARD_MASS, Scene, eased, level
 
 RADIUS = 14.0  # mm
 LIP = 24  # points on the lip
@@ -32,6 +32,7 @@ LOST = 4.0  # mm: a lip that is nowhere nearer has let go of the board
 BESIDE = 2.0  # mm, how far a point of the lip is open that meets nothing
 
 LOWER, HOLD, LIFT, CARRY = 0.1, 0.1, 0.5, 0.5  # seconds
+CUP = 25.0  # mm, how tall it is in pictures
 HEIGHT, ASIDE = 40.0, -130.0  # mm: how far up, and how far along y
 
 
@@ -163,6 +164,7 @@ def suck(scene: Scene, action: Suck) -> None:
     """Carry the action out in a scene."""
     world = scene.world
     grip = gripped(scene, action)
+    cup = world.ghost(RADIUS, CUP, BLACK) if world.drawn else None
     step = world.dt
     for number in range(round((LOWER + HOLD + LIFT + CARRY) / step)):
         time = number * step
@@ -172,6 +174,8 @@ def suck(scene: Scene, action: Suck) -> None:
             break
         world.push(scene.board, force, scene.pose.position)
         world.twist(scene.board, torque)
+        if cup is not None:
+            world.place(cup, level(action.x, action.y + hand[1], grip.top + hand[2] + CUP / 2))
         scene.step()
     scene.rest()
 

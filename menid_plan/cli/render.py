@@ -1,0 +1,82 @@
+"""`menid render`: pictures of an execution."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from menid_plan.cli.common import existing_file, load_both
+from menid_plan.files import replace_file
+from menid_plan.grounding.state import GroundAction, state_text
+from menid_plan.language.ground import read_action, read_state
+
+
+@click.command("render")
+@click.argument("files", nargs=-1, required=True, type=existing_file, metavar="DOMAIN PROBLEM")
+@click.argument("action", metavar="ACTION")
+@click.option(
+    "--run", "run_file", required=True, metavar="FILE.toml",
+    type=click.Path(exists=True, dir_okay=False),
+    help="The run file that names the environments.",
+)  # fmt: skip
+@click.option("--env", "name", metavar="NAME", help="The environment; by default the target.")
+@click.option(
+    "--state", "state", metavar="ATOMS",
+    help="The state, as in \"in(board, tray), loose(board)\"; by default that of `init`.",
+)  # fmt: skip
+@click.option("--seed", type=click.IntRange(0, 2**53 - 1), default=0, show_default=True)
+@click.option(
+    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE",
+    help="Where to write it: .gif, .mp4, or .png with six pictures.",
+)  # fmt: skip
+@click.option("--gui", is_flag=True, help="Show it in PyBullet's window.")
+def command(
+    files: tuple[str, ...],
+    action: str,
+    run_file: str,
+    name: str | None,
+    state: str | None,
+    seed: int,
+    output: Path | None,
+    gui: bool,
+) -> None:
+    """Execute ACTION, such as "lever(n7)", in an environment with something to be seen.
+
+    The same seed gives the same pictures, and the state in which the execution ends is printed.
+    """
+    from menid_plan.environments.hdd.kind import Hdd
+    from menid_plan.environments.interface import EnvironmentFailedError
+    from menid_plan.environments.runfile import read_run_file
+
+    kind = output.suffix.lower().removeprefix(".") if output else ""
+    if output is None and not gui:
+        raise click.UsageError("say where to write it (-o), or --gui to look at it")
+    if output is not None and kind not in ("gif", "mp4", "png"):
+        raise click.UsageError(f"{output}: the file's ending must be .gif, .mp4 or .png")
+    if output is not None and not output.parent.is_dir():
+        raise click.UsageError(f"{output}: there is no folder {output.parent}")
+    domain, problem = load_both(files)
+    chosen = GroundAction(*read_action(action, domain, problem, "ACTION"))
+    start = None if state is None else read_state(state, domain, problem, "--state")
+    bound = read_run_file(run_file).bind(domain, problem)
+    names = [spec.name for spec in bound.environments]
+    if name is not None and name not in names:
+        raise click.UsageError(f"{run_file} has no environment `{name}`; it has {', '.join(names)}")
+    spec = next(s for s in bound.environments if name in (None, s.name))
+    if not isinstance(spec.kind, Hdd):
+        raise EnvironmentFailedError(
+            f"environment `{spec.name}` of kind `{spec.kind.name}` has nothing to be seen; those of"
+            " kind `hdd` have"
+        )
+    environment = spec.kind.build(spec.place)
+    from menid_plan.environments.hdd import film
+
+    if output is None:
+        after = film.shown(environment, chosen, start, seed)
+    else:
+        found = film.film(environment, chosen, start, seed)
+        replace_file(output, film.encoded(found, kind))
+        after = found.state
+        click.echo(f"wrote {output}", err=True)
+    click.echo(f"{chosen}: {state_text(after)}")
