@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
@@ -52,7 +51,10 @@ class MeshReport:
         """What keeps it from being accepted, in words; empty if nothing does."""
         found = []
         if abs(self.vertices - self.wanted) > TOLERANCE * self.wanted:
-            found.append(f"it has {self.vertices} vertices instead of {self.wanted}")
+            found.append(
+                f"it has {self.vertices} vertices instead of {self.wanted} (long thin triangles do not"
+                " merge well: a scan of even ones does)"
+            )
         if abs(self.volume - self.full_volume) > TOLERANCE * self.full_volume:
             change = 100 * (self.volume / self.full_volume - 1)
             found.append(f"its volume differs by {change:+.1f} % from that of the full mesh")
@@ -110,7 +112,6 @@ def wanted_vertices(part: str, quality: float) -> int:
     return round(quality * geometry.FULL_VERTICES[part])
 
 
-@lru_cache(maxsize=8)
 def part_mesh(source: Source, quality: float) -> PartMesh:
     """A part reduced to a quality; raises MeshError if it can't be done within the tolerances."""
     wanted = wanted_vertices(source.part, quality)
