@@ -26,7 +26,8 @@ ALLOWED = {
     "interrupts": set(),
     "compiled": {"files"},
     "experience": {"source", "errors", "model", "grounding", "language"},
-    "environments": {"source", "errors", "model", "grounding", "language", "mdp", "experience"},
+    "environments": {"source", "errors", "model", "grounding", "language", "mdp", "experience"}
+    | {"files"},
     "memory": {"errors"},
     "mdp": {"source", "errors", "model", "grounding", "compiled", "memory"},
     "solving": {"source", "errors", "model", "grounding", "mdp"},
