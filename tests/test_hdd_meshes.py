@@ -13,9 +13,11 @@ from conftest import ROOT
 pytest.importorskip("pybullet", reason="the extra `hdd` is not installed")
 
 import trimesh
+from click.testing import CliRunner, Result
 from manifold3d import Manifold
 
 import menid_plan
+from menid_plan.cli.main import main
 from menid_plan.environments.hdd import cache, geometry
 from menid_plan.environments.hdd.kind import Hdd
 from menid_plan.environments.hdd.mesh import TriangleMesh
@@ -212,3 +214,53 @@ def test_other_geometry_is_kept_under_another_key(
     changed.write_bytes(Path(geometry.__file__).read_bytes() + b"\n# changed\n")
     monkeypatch.setattr(geometry, "__file__", str(changed))
     assert Source("board").key != before
+
+
+# ----------------------------------------------------------------------------------- the command
+
+
+def call(*arguments: str) -> Result:
+    return CliRunner().invoke(main, ["hdd", "mesh", *arguments])
+
+
+@pytest.mark.parametrize("kind", ["obj", "stl", "ply"])
+def test_a_mesh_is_written_and_can_be_read_again(tmp_path: Path, kind: str) -> None:
+    shape = tmp_path / "plate.stl"
+    bar().export(shape)
+    out = tmp_path / f"board.{kind}"
+    found = call("--quality", "0.002", "--scan", str(shape), "-o", str(out))
+    assert found.exit_code == 0, found.output
+    mesh = read_scan(out)
+    assert len(mesh.vertices) == pytest.approx(662, rel=0.01)
+    assert mesh.volume == pytest.approx(9600, rel=0.01)
+
+
+def test_the_report_tells_what_was_checked(tmp_path: Path) -> None:
+    shape = tmp_path / "plate.stl"
+    bar(99.4, 59.4).export(shape)
+    found = call("--quality", "0.002", "--scan", str(shape), "--report")
+    assert found.exit_code == 0, found.output
+    assert "(asked for: 662)" in found.stdout
+    assert "open edges      0" in found.stdout
+    assert "force at rest   1.0" in found.stdout
+    bar(104.0, 60.0).export(shape)  # longer than the pocket
+    found = call("--quality", "0.002", "--scan", str(shape), "--report")
+    assert found.exit_code == 1
+    assert "FAULT" in found.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["--quality", "0.003"], 2, "--report"),
+        (["--quality", "0.003", "-o", "board.gltf"], 2, "must be .obj, .stl or .ply"),
+        (["--quality", "0.003", "-o", "nowhere/board.obj"], 2, "there is no folder nowhere"),
+        (["--quality", "0.5", "--report"], 5, "from 0.001 to 0.1"),
+        (["--quality", "fine", "--report"], 2, "'fine' is not a valid float"),
+        (["--quality", "0.003", "--scan", "none.stl", "--report"], 2, "does not exist"),
+    ],
+)
+def test_what_cannot_be_made_is_told(arguments: list[str], code: int, message: str) -> None:
+    found = call(*arguments)
+    assert found.exit_code == code, found.output
+    assert message in found.output

@@ -8,6 +8,7 @@ import click
 
 # The module menid_plan.cli.hdd_NAME holds the function `command`.
 _COMMANDS = {
+    "mesh": "Write a part at a quality, and what was checked of it.",
     "record": "Record an outcome bank: every action in every environment.",
 }
 

@@ -27,7 +27,7 @@ _COMMANDS = {
     "explain": "Show which actions apply in a state, and why or why not.",
     "ground": "Count states and transitions; write the explicit model.",
     "fmt": "Bring files into the canonical layout.",
-    "hdd": "Record what the hard-drive scenes do.",
+    "hdd": "Make meshes and record outcomes of the hard drive.",
     "init": "Write a commented domain and problem to start from.",
     "simulate": "Draw episodes under a policy, and print what they earn.",
     "solve": "Find the best policy, with bounds on its value.",

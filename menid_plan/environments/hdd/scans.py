@@ -70,6 +70,13 @@ def read_scan(path: Path) -> TriangleMesh:
     return mesh
 
 
+def exported(mesh: TriangleMesh, kind: str) -> bytes:
+    """A mesh as the content of a file in one of the formats."""
+    found = trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False)
+    content = found.export(file_type=kind)
+    return content.encode() if isinstance(content, str) else bytes(content)
+
+
 def _mesh(found: trimesh.Trimesh) -> TriangleMesh:
     return TriangleMesh(
         np.asarray(found.vertices, np.float64), np.asarray(found.faces).astype(np.int32)
