@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TextIO
 
 import click
 
@@ -34,5 +38,27 @@ class _LazyCommands(click.Group):
 
 
 @click.group("hdd", cls=_LazyCommands)
-def command() -> None:
+@click.pass_context
+def command(ctx: click.Context) -> None:
     """Make meshes of the hard drive, and record what its scenes do."""
+    ctx.with_resource(_plain_warnings())
+
+
+@contextmanager
+def _plain_warnings() -> Iterator[None]:
+    """Print what the cache warns of as a line for the user, without the line of our source."""
+    with warnings.catch_warnings():
+        usual = warnings.showwarning
+
+        def show(
+            message: Warning | str, category: type[Warning], filename: str, lineno: int,
+            file: TextIO | None = None, line: str | None = None,
+        ) -> None:  # fmt: skip
+            if category is UserWarning:
+                click.echo(f"menid: warning: {message}", err=True)
+            else:
+                usual(message, category, filename, lineno, file, line)
+
+        warnings.showwarning = show
+        warnings.filterwarnings("default", module=r"menid_plan\.environments\.hdd\.cache")
+        yield

@@ -49,7 +49,8 @@ def kept(key: str, make: Callable[[], Arrays]) -> Arrays:
         warnings.warn(
             f"the cache in {path.parent} can't be written ({error.strerror or error}); what it would"
             f" keep is made anew each time; {FOLDER_VARIABLE} names another folder",
-            stacklevel=2,
+            # Told of this line, whoever asked: so Python tells each such text once in a process.
+            stacklevel=1,
         )
     return arrays
 

@@ -14,6 +14,16 @@ Points = NDArray[np.float64]
 Triangles = NDArray[np.int32]
 
 
+@dataclass(frozen=True, slots=True)
+class Check:
+    """Something that was checked: what was found, what was wanted, and what is wrong, if anything."""
+
+    name: str
+    found: str
+    wanted: str
+    fault: str = ""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class TriangleMesh:
     """``vertices``: (n, 3) in mm; ``triangles``: (m, 3), rows of vertices, counter-clockwise."""

@@ -14,9 +14,9 @@ import numpy as np
 from manifold3d import Manifold, Mesh
 from numpy.typing import NDArray
 
-from menid_plan.environments.hdd import cache, geometry
-from menid_plan.environments.hdd.mesh import TriangleMesh
-from menid_plan.environments.hdd.scans import MeshError, read_bytes, read_scan
+from menid_plan.environments.hdd import cache, geometry, scans
+from menid_plan.environments.hdd.mesh import Check, TriangleMesh
+from menid_plan.environments.hdd.scans import MeshError, check_place, read_bytes, read_scan
 
 PARTS = tuple(geometry.SHAPES)
 LOWEST, HIGHEST = 0.001, 0.1
@@ -47,22 +47,37 @@ class MeshReport:
     open_edges: int
 
     @property
-    def faults(self) -> list[str]:
-        """What keeps it from being accepted, in words; empty if nothing does."""
-        found = []
-        if abs(self.vertices - self.wanted) > TOLERANCE * self.wanted:
-            found.append(
+    def checks(self) -> tuple[Check, ...]:
+        """All that was checked, with what keeps it from being accepted."""
+        within = f"within {100 * TOLERANCE:g} %"
+        change = self.volume / self.full_volume - 1
+        return (
+            Check(
+                "vertices", f"{self.vertices}", f"{self.wanted}, {within}",
                 f"it has {self.vertices} vertices instead of {self.wanted} (long thin triangles do not"
                 " merge well: a scan of even ones does)"
-            )
-        if abs(self.volume - self.full_volume) > TOLERANCE * self.full_volume:
-            change = 100 * (self.volume / self.full_volume - 1)
-            found.append(f"its volume differs by {change:+.1f} % from that of the full mesh")
-        if self.bodies != 1:
-            found.append(f"it has {self.bodies} pieces instead of one")
-        if self.open_edges:
-            found.append(f"{self.open_edges} of its edges have no partner")
-        return found
+                if abs(self.vertices - self.wanted) > TOLERANCE * self.wanted else "",
+            ),
+            Check(
+                "volume", f"{self.volume:.1f} mm^3 ({100 * change:+.2f} %)",
+                f"{self.full_volume:.1f} mm^3, {within}",
+                f"its volume differs by {100 * change:+.1f} % from that of the full mesh"
+                if abs(change) > TOLERANCE else "",
+            ),
+            Check(
+                "pieces", f"{self.bodies}", "1",
+                f"it has {self.bodies} pieces instead of one" if self.bodies != 1 else "",
+            ),
+            Check(
+                "open edges", f"{self.open_edges}", "0",
+                f"{self.open_edges} of its edges have no partner" if self.open_edges else "",
+            ),
+        )  # fmt: skip
+
+    @property
+    def faults(self) -> list[str]:
+        """What keeps it from being accepted, in words; empty if nothing does."""
+        return [check.fault for check in self.checks if check.fault]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +101,9 @@ class Source:
         if self.scan is None:
             text = Path(geometry.__file__).read_bytes() + version("manifold3d").encode()
         else:
-            text = read_bytes(self.scan)
+            # Another way to read it, or to judge it, is another mesh.
+            text = read_bytes(self.scan) + Path(scans.__file__).read_bytes()
+            text += version("trimesh").encode()
         return sha256(text).hexdigest()[:24]
 
     def full(self) -> TriangleMesh:
@@ -95,7 +112,11 @@ class Source:
         return _mesh(cache.kept(key, lambda: _arrays(self._made())))
 
     def _made(self) -> TriangleMesh:
-        return geometry.scan(self.part) if self.scan is None else read_scan(self.scan)
+        if self.scan is None:
+            return geometry.scan(self.part)
+        mesh = read_scan(self.scan)
+        check_place(self.part, mesh, self.scan)
+        return mesh
 
 
 def wanted_vertices(part: str, quality: float) -> int:
@@ -114,8 +135,18 @@ def wanted_vertices(part: str, quality: float) -> int:
 
 def part_mesh(source: Source, quality: float) -> PartMesh:
     """A part reduced to a quality; raises MeshError if it can't be done within the tolerances."""
+    found = tried_mesh(source, quality)
+    if found.report.faults:
+        raise MeshError(
+            f"the {source.part} at quality {quality:g}: {'; '.join(found.report.faults)}"
+        )
+    return found
+
+
+def tried_mesh(source: Source, quality: float) -> PartMesh:
+    """A part reduced to a quality as well as it can be: its report says whether that is accepted."""
     wanted = wanted_vertices(source.part, quality)
-    key = f"{source.part}-{wanted}-{source.key}-{version('fast-simplification')}"
+    key = f"{source.part}-{wanted}-{source.key}-{_method()}"
 
     def make() -> cache.Arrays:
         full = source.full()
@@ -134,10 +165,14 @@ def part_mesh(source: Source, quality: float) -> PartMesh:
 
     arrays = cache.kept(key, make)
     mesh = _mesh(arrays)
-    report = _report(source.part, quality, mesh, arrays["full"])
-    if report.faults:
-        raise MeshError(f"the {source.part} at quality {quality:g}: {'; '.join(report.faults)}")
-    return PartMesh(mesh, report)
+    return PartMesh(mesh, _report(source.part, quality, mesh, arrays["full"]))
+
+
+def _method() -> str:
+    """A hash of how meshes are reduced: what another version kept is not taken for this one's."""
+    text = Path(__file__).read_bytes()
+    text += f"{version('fast-simplification')} {version('manifold3d')}".encode()
+    return sha256(text).hexdigest()[:12]
 
 
 def _report(part: str, quality: float, mesh: TriangleMesh, full: NDArray[np.generic]) -> MeshReport:

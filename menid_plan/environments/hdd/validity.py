@@ -6,12 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from menid_plan.environments.hdd.mesh import TriangleMesh
+from menid_plan.environments.hdd.mesh import Check, TriangleMesh
 from menid_plan.environments.hdd.scene import BOARD_MASS, Physics, Scene, level
 from menid_plan.environments.hdd.symbols import Seen
 
 LIFT = 1.3  # times the weight
 LIFTED_FOR = 0.6  # seconds
+
+# How far force and rise may be from 1, and how far the board may tilt (degrees) or go aside (mm).
+FORCE, RISE, TILT, ASIDE = 0.02, 0.03, 3.0, 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,18 +33,40 @@ class Validity:
     loose: bool
 
     @property
+    def checks(self) -> tuple[Check, ...]:
+        """All that was tested, with what is wrong; what is not a number is wrong as well."""
+        lifted = f"lifted with {LIFT:g} times its weight, the board"
+        return (
+            Check(
+                "at rest", "loose" if self.loose else "in its seat", "in its seat",
+                "the board does not come to rest in its seat" if self.loose else "",
+            ),
+            Check(
+                "force at rest", f"{self.force:.3f} of the weight", f"1, within {100 * FORCE:g} %",
+                "" if abs(self.force - 1) <= FORCE else
+                f"at rest the board is pressed with {self.force:.2f} times its weight: it jams",
+            ),
+            Check(
+                "rise", f"{self.rise:.3f} of a free one", f"1, within {100 * RISE:g} %",
+                "" if abs(self.rise - 1) <= RISE else
+                f"{lifted} rises {self.rise:.2f} times as far as a free one: it is caught in the bay",
+            ),
+            Check(
+                "tilt", f"{self.tilt:.2f} degrees", f"{TILT:g} at most",
+                "" if self.tilt <= TILT else
+                f"{lifted} tilts by {self.tilt:.1f} degrees: it is caught in the bay",
+            ),
+            Check(
+                "aside", f"{self.aside:.2f} mm", f"{ASIDE:g} at most",
+                "" if self.aside <= ASIDE else
+                f"{lifted} goes aside by {self.aside:.1f} mm: it is pushed by the bay",
+            ),
+        )  # fmt: skip
+
+    @property
     def faults(self) -> list[str]:
         """What is wrong, in words; empty if nothing is."""
-        found = []
-        if self.loose:
-            found.append("the board does not come to rest in its seat")
-        if abs(self.force - 1) > 0.02:
-            found.append(f"at rest it is pressed with {self.force:.2f} times its weight: it jams")
-        if abs(self.rise - 1) > 0.03 or self.tilt > 3.0 or self.aside > 1.0:
-            found.append(
-                f"{LIFT:g} times its weight do not lift it freely: it is caught in the bay"
-            )
-        return found
+        return [check.fault for check in self.checks if check.fault]
 
 
 def validity(board: TriangleMesh, bay: TriangleMesh, physics: Physics) -> Validity:
