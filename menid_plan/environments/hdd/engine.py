@@ -27,6 +27,7 @@ from menid_plan.environments.interface import EnvironmentFailedError
 CM = 0.1  # one mm
 FORCE = 100.0  # one N
 GRAVITY = 9810.0  # mm/s^2
+FINGERS = (9, 10)  # the joints of an arm that open its hand
 
 Vector = NDArray[np.float64]
 
@@ -343,6 +344,34 @@ class World:
         )  # fmt: skip
         body: int = self._p.createMultiBody(0, -1, visual, physicsClientId=self._id)
         return body
+
+    def arm(self) -> int:
+        """A Panda arm that is seen, and touches nothing."""
+        data = importlib.import_module("pybullet_data")
+        arm: int = self._p.loadURDF(
+            str(Path(data.getDataPath()) / "franka_panda" / "panda.urdf"), useFixedBase=1,
+            globalScaling=1000 * CM, physicsClientId=self._id,
+        )  # fmt: skip
+        # The arm's base counts as link -1.
+        for link in range(-1, self._p.getNumJoints(arm, physicsClientId=self._id)):
+            self._p.setCollisionFilterGroupMask(arm, link, 0, 0, physicsClientId=self._id)
+        return arm
+
+    def bend(self, arm: int, joints: Vector, fingers: float) -> None:
+        """Bend an arm: its joints (7,) in rad, and how far each of its fingers is open in mm."""
+        for joint, angle in enumerate(joints):
+            self._p.resetJointState(arm, joint, angle, physicsClientId=self._id)
+        for joint in FINGERS:
+            self._p.resetJointState(arm, joint, CM * fingers, physicsClientId=self._id)
+
+    def stand(self, arm: int, foot: Pose) -> None:
+        """Put an arm's foot somewhere."""
+        # PyBullet places a body's centre of mass.
+        inertial = self._p.getDynamicsInfo(arm, -1, physicsClientId=self._id)[3:5]
+        at, turn = self._p.multiplyTransforms(
+            (CM * foot.position).tolist(), foot.turn.tolist(), *inertial
+        )
+        self._p.resetBasePositionAndOrientation(arm, at, turn, physicsClientId=self._id)
 
     def picture(
         self, eye: Vector, middle: Vector, up: Vector, width: int, height: int

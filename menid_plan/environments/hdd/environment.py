@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from menid_plan.environments.hdd.engine import EngineSettings, Pose
+from menid_plan.environments.hdd.hand import STEADY, Hand
 from menid_plan.environments.hdd.kind import Deviations, Hdd
 from menid_plan.environments.hdd.lever import Lever, lever
 from menid_plan.environments.hdd.meshes import Source, part_mesh
@@ -95,17 +96,15 @@ class HddEnvironment:
         """Execute an action; EnvironmentFailedError if the computation breaks down."""
         if self._rng is None:
             raise EnvironmentFailedError("it was not reset")
-        values = [
-            {name: self._arguments[argument][name] for name in names}
-            for names, argument in zip(ACTIONS[action.action], action.arguments, strict=True)
-        ]
-        numbers = {name: value for found in values for name, value in found.items()}
         errors = self._errors()
-        run = prepared(action.action, numbers, errors, self._kind.force)
+        run = self._prepared(action, self.numbers(action), errors)
         depth = 0.0
         for finer in FINER:
             with self._scene(self.pose, errors, finer) as scene:
+                if self.drawn or self.window:
+                    self._furnish(scene, action)
                 scene.rest()
+                scene.began = scene.world.time
                 run(scene)
                 depth = scene.world.deepest(scene.board)
                 if np.isfinite(scene.pose.position).all() and depth <= DEEPEST:
@@ -116,18 +115,36 @@ class HddEnvironment:
             f"`{action}`: the computation broke down: the board is {depth:.1f} mm inside another body"
         )
 
+    def numbers(self, action: GroundAction) -> Mapping[str, float]:
+        """The attributes of an action's objects."""
+        return {
+            name: self._arguments[argument][name]
+            for names, argument in zip(ACTIONS[action.action], action.arguments, strict=True)
+            for name in names
+        }
+
     def state(self) -> State:
         """The atoms that hold."""
         return self._atoms() | self._others
 
-    def view(self, action: GroundAction) -> float:
-        """From where an action is best seen, in degrees around the drive."""
+    def view(self, action: GroundAction) -> tuple[float, float]:
+        """From where an action is best seen, in degrees around the drive, and from how far, in mm."""
         if action.action == "lever":  # from beside the hand
-            return self._arguments[action.arguments[0]]["direction"] + 180.0 + 55.0
-        return 25.0 if action.action == "suck" else -60.0
+            return self._arguments[action.arguments[0]]["direction"] + 180.0 + 55.0, 330.0
+        return 25.0 if action.action == "suck" else -60.0, 330.0
 
     def close(self) -> None:
         """There is nothing to let go of: each execution has closed its world."""
+
+    def _prepared(
+        self, action: GroundAction, numbers: Mapping[str, float], errors: Mapping[str, float]
+    ) -> Callable[[Scene], None]:
+        """What carries an action out in a scene; EnvironmentFailedError if nobody can."""
+        tool = tool_of(action.action, numbers, errors, self._kind.force)
+        return lambda scene: carry_out(scene, tool, STEADY)
+
+    def _furnish(self, scene: Scene, action: GroundAction) -> None:
+        """Add to a scene what is only to be seen."""
 
     def _errors(self) -> Mapping[str, float]:
         """How far everything errs in one execution."""
@@ -178,26 +195,33 @@ class HddEnvironment:
         return frozenset(atom for atom in self._known if PREDICATES[atom.predicate][1](seen))
 
 
-def prepared(
+def tool_of(
     action: str, numbers: Mapping[str, float], errors: Mapping[str, float], force: float
-) -> Callable[[Scene], None]:
-    """What carries an action out in a scene."""
+) -> Lever | Shake | Suck:
+    """The tool that an action is about, and where it goes."""
     if action == "lever":
-        hand = Lever(
+        return Lever(
             numbers["x"], numbers["y"], numbers["direction"], errors["across"], errors["above"],
             errors["deeper"], errors["askew"], force,
         )  # fmt: skip
-        return lambda scene: lever(scene, hand)
     if action == "shake":
-        swing = Shake(
+        return Shake(
             numbers["degrees"] * (1 + errors["swing"]), FREQUENCY * (1 + errors["frequency"])
         )
-        return lambda scene: shake(scene, swing)
-    cup = Suck(
+    return Suck(
         numbers["x"] + errors["spot_x"], numbers["y"] + errors["spot_y"],
         numbers["pascal"] * (1 + errors["pressure"]),
     )  # fmt: skip
-    return lambda scene: suck(scene, cup)
+
+
+def carry_out(scene: Scene, tool: Lever | Shake | Suck, hand: Hand) -> None:
+    """Carry an action out in a scene."""
+    if isinstance(tool, Lever):
+        lever(scene, tool, hand)
+    elif isinstance(tool, Shake):
+        shake(scene, tool, hand)
+    else:
+        suck(scene, tool, hand)
 
 
 def _arguments(domain: Domain, problem: Problem) -> dict[str, dict[str, float]]:

@@ -30,7 +30,7 @@ BAR = 48  # pixels for the caption
 RATE = 20.0  # pictures for each second
 LINGER = 1.0  # seconds that the last picture stays
 STRIP = 6  # pictures side by side in a PNG
-DISTANCE, ELEVATION = 330.0, 38.0  # of the camera: mm and degrees
+ELEVATION = 38.0  # of the camera, in degrees
 
 
 @dataclass(slots=True)
@@ -38,6 +38,7 @@ class Camera:
     """Takes pictures of a scene while time passes in it."""
 
     direction: float
+    distance: float
     pictures: list[Picture] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
 
@@ -55,7 +56,7 @@ class Camera:
         )
         # A drive that is shaken stands still in its own frame: there it is the camera that turns.
         turn = Rotation.from_euler("x", -scene.frame_angle)
-        eye = PIVOT + turn.apply(DISTANCE * away - PIVOT)
+        eye = PIVOT + turn.apply(self.distance * away - PIVOT)
         middle = PIVOT + turn.apply(-PIVOT)
         self.pictures.append(
             scene.world.picture(eye, middle, turn.apply([0, 0, 1]), WIDTH, HEIGHT - BAR)
@@ -75,7 +76,7 @@ def film(environment: HddEnvironment, action: GroundAction, state: State | None,
     """Execute an action before a camera. Where the computation is repeated, the last one is shown."""
     environment.reset(state, seed)
     before = environment.state()
-    camera = Camera(environment.view(action))
+    camera = Camera(*environment.view(action))
     environment.drawn = True
     environment.after_step = camera
     try:

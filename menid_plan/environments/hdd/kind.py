@@ -44,6 +44,23 @@ class Deviations:
 
 
 @dataclass(frozen=True, slots=True)
+class Perception:
+    """How far a camera errs about where the drive is: standard deviations, one draw an execution.
+
+    ``x``, ``y``, ``z`` in mm; ``yaw`` in radians about the drive's middle.
+    """
+
+    x: float = 0.5
+    y: float = 0.5
+    z: float = 0.12
+    yaw: float = 0.01
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            check_range(self, field.name, least=0)
+
+
+@dataclass(frozen=True, slots=True)
 class Hdd:
     """Executes lever, shake and suck on a hard drive, in PyBullet.
 
@@ -95,3 +112,37 @@ class Hdd:
         """The file of a part's scan, if there is one."""
         chosen = {"board": self.board, "bay": self.bay}[part]
         return folder / chosen if chosen else None
+
+
+# An arm's hand errs by what its camera and its joints do.
+_SURFACES = Deviations(across=0, above=0, deeper=0, askew=0, spot_x=0, spot_y=0)
+
+
+@dataclass(frozen=True, slots=True)
+class HddRobot(Hdd):
+    """Executes lever, shake and suck on a hard drive with a Panda arm, in PyBullet.
+
+    As kind `hdd`, but the tools follow what the arm can do: it is as slow as its joints have to be,
+    and cannot do what is out of its reach. ``noise`` scales ``perception``, ``jerk`` (the standard
+    deviation of its joints' errors while it moves, in radians) and ``deviations``, of which those of
+    the hand are 0.
+    """
+
+    name: ClassVar[str] = "hdd-robot"
+    promise: ClassVar[str] = "the same with a Panda arm, its camera and its joints err; in PyBullet"
+
+    noise: float = 1.0
+    deviations: Deviations = _SURFACES
+    perception: Perception = Perception()
+    jerk: float = 0.0002
+
+    def __post_init__(self) -> None:
+        Hdd.__post_init__(self)
+        check_range(self, "jerk", least=0, most=0.1)
+
+    def build(self, place: Place) -> HddEnvironment:
+        """Prepare the meshes; SettingError for what the domain or problem lacks."""
+        require()
+        from menid_plan.environments.hdd.robot import RobotEnvironment
+
+        return RobotEnvironment(self, place)

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from menid_plan.environments.hdd.engine import Pose, Surface
 from menid_plan.environments.hdd.geometry import CLEARANCE, SLOT_FLOOR, WALL
+from menid_plan.environments.hdd.hand import STEADY, Hand
 from menid_plan.environments.hdd.scene import BLUE, Scene, eased, turned
 
 WIDTH, HEIGHT, LENGTH = 7.0, 1.0, 80.0  # mm
@@ -93,10 +94,10 @@ class Lever:
         return INSERT + RAISE + ARC + SHOVE + WITHDRAW
 
 
-def lever(scene: Scene, action: Lever) -> None:
+def lever(scene: Scene, action: Lever, hand: Hand = STEADY) -> None:
     """Carry the action out in a scene."""
     world = scene.world
-    start = action.at(0.0)
+    start = hand.led(action.at(0.0), 0.0)
     tool = world.box(
         (TIP / 2, WIDTH / 2, HEIGHT / 2), start.position, MASS, Surface(1.0, 0.1), BLUE,
         offset=(-TIP / 2, 0, 0), turn=start.turn,
@@ -104,16 +105,16 @@ def lever(scene: Scene, action: Lever) -> None:
         held=True,
     )  # fmt: skip
     held = world.hold(tool, start, action.force)
-    step = world.dt
+    step = world.dt / hand.stretch  # of the motion as it was planned
 
     def follow(begin: float, end: float, force: float) -> None:
         for number in range(round(begin / step), round(end / step)):
-            world.move(held, action.at(number * step), force)
+            world.move(held, hand.led(action.at(number * step), number * world.dt), force)
             scene.step()
 
     gentle = min(GENTLE, action.force)
     follow(0.0, INSERT, gentle)
-    aim = action.at(INSERT)
+    aim = hand.led(action.at(INSERT), INSERT * hand.stretch)
     missed = world.pose(tool).position - aim.position
     if np.linalg.norm(missed) < REACHED:
         follow(INSERT, action.duration, action.force)

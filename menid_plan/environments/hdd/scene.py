@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -93,6 +94,7 @@ class Scene:
         self.peak_force = 0.0
         # How far the frame in which all of this is computed is turned, in rad: for pictures.
         self.frame_angle = 0.0
+        self.began = math.inf  # when the action began, in s
 
     def __enter__(self) -> Scene:
         return self

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from menid_plan.environments.hdd.hand import STEADY, Hand
 from menid_plan.environments.hdd.scene import BOARD_INERTIA, BOARD_MASS, Scene
 
 PIVOT = np.array([0.0, -150.0, 0.0])  # mm: a point of the axis, which runs along the drive
@@ -58,18 +59,20 @@ def _envelope(time: float) -> tuple[float, float, float]:
     return 1.0, 0.0, 0.0
 
 
-def shake(scene: Scene, action: Shake) -> None:
-    """Carry the action out in a scene."""
+def shake(scene: Scene, action: Shake, hand: Hand = STEADY) -> None:
+    """Carry the action out in a scene; what the hand strays is nothing beside the shaking."""
     world = scene.world
     usual = world.dt
     gravity = scene.physics.gravity
-    peak = np.radians(action.degrees) * (2 * np.pi * action.frequency) ** 2 * np.linalg.norm(PIVOT)
+    fastest = 2 * np.pi * action.frequency / hand.stretch
+    peak = np.radians(action.degrees) * fastest**2 * np.linalg.norm(PIVOT)
     if peak > LOOSE * gravity:
         world.set_step(usual / FINER)
     step = world.dt
     inertia = np.array(BOARD_INERTIA)
-    for number in range(round(DURATION / step)):
-        angle, rate, acceleration = action.angles(number * step)
+    for number in range(round(DURATION * hand.stretch / step)):
+        angle, rate, acceleration = action.angles(number * step / hand.stretch)
+        rate, acceleration = rate / hand.stretch, acceleration / hand.stretch**2
         pose = world.pose(scene.board)
         velocity, _ = world.velocity(scene.board)
         # About the x axis: cross products written out.

@@ -12,6 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from menid_plan.environments.hdd.engine import Pose
+from menid_plan.environments.hdd.geometry import THICKNESS
+from menid_plan.environments.hdd.hand import STEADY, Hand
 from menid_plan.environments.hdd.mesh import Points, TriangleMesh
 from menid_plan.environments.hdd.scene import BLACK, BOARD_MASS, Scene, eased, level
 
@@ -43,6 +46,16 @@ class Suck:
     x: float
     y: float
     pressure: float
+
+    def at(self, time: float) -> Pose:
+        """The pose that the hand aims at for the cup's lip, so many seconds after it began."""
+        way = _way(time)
+        return level(self.x, self.y + way[1], THICKNESS + way[2])
+
+    @property
+    def duration(self) -> float:
+        """How long the motion takes, in seconds."""
+        return LOWER + HOLD + LIFT + CARRY
 
 
 def heights(mesh: TriangleMesh, points: Points) -> Points:
@@ -160,27 +173,32 @@ def gripped(scene: Scene, action: Suck) -> Grip:
     )  # fmt: skip
 
 
-def suck(scene: Scene, action: Suck) -> None:
+def suck(scene: Scene, action: Suck, hand: Hand = STEADY) -> None:
     """Carry the action out in a scene."""
     world = scene.world
     grip = gripped(scene, action)
     cup = world.ghost(RADIUS, CUP, BLACK) if world.drawn else None
     step = world.dt
-    for number in range(round((LOWER + HOLD + LIFT + CARRY) / step)):
+
+    def cup_at(time: float) -> Points:
+        return _way(time / hand.stretch) + hand.way(time)
+
+    for number in range(round(action.duration * hand.stretch / step)):
         time = number * step
-        hand, later = _hand(time), _hand(time + step)
-        force, torque, holds = grip.forces(scene, hand, (later - hand) / step)
-        if time > LOWER + HOLD and not holds:
+        now, later = cup_at(time), cup_at(time + step)
+        force, torque, holds = grip.forces(scene, now, (later - now) / step)
+        if time > (LOWER + HOLD) * hand.stretch and not holds:
             break
         world.push(scene.board, force, scene.pose.position)
         world.twist(scene.board, torque)
         if cup is not None:
-            world.place(cup, level(action.x, action.y + hand[1], grip.top + hand[2] + CUP / 2))
+            at = np.array([action.x, action.y, grip.top + CUP / 2]) + now
+            world.place(cup, level(*at))
         scene.step()
     scene.rest()
 
 
-def _hand(time: float) -> Points:
+def _way(time: float) -> Points:
     """How far aside the cup is (x, y), and how high over the board's top at the start, in mm."""
     down = eased(time / LOWER)
     up = eased((time - LOWER - HOLD) / LIFT)
