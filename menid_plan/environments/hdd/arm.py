@@ -42,9 +42,11 @@ SPEED = np.array([2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61])  # rad/s
 ACCELERATION = np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0])  # rad/s^2
 HOME = np.array([0.0, -0.4, 0.0, -2.3, 0.0, 2.0, 0.785])  # where the search for a reach begins
 
-PEDESTAL = 100.0  # mm that the arm's foot stands over the table
-AWAY = 450.0  # mm from the foot to the middle of the drive
-DOWN = 25.0  # degrees that the hand points down when it holds a level lever
+PEDESTAL = 60.0  # mm that the arm's foot stands over the table
+AWAY = 520.0  # mm from the foot to the middle of the drive
+# Degrees that the hand points down, when it holds a level lever and otherwise. The first is so much
+# that it stays clear of the table when the lever points up.
+BACK, DOWN = 130.0, 90.0
 GRIP, HELD = (0.0, -40.0, -10.0), 10.0  # mm: where it holds a drive that it shakes, and how wide
 
 KNOT = 0.02  # s between two poses that are solved for
@@ -134,18 +136,18 @@ class Task:
             path = [action.at(time) for time in _knots(action.duration)]
             return cls(
                 path,
-                _held(-DOWN, (-LENGTH, 0.0, 0.0), 0.0, roll=0.0),
+                _held(BACK, (-LENGTH, 0.0, 0.0)),
                 action.direction + 180.0,
                 WIDTH / 2,
             )
         if isinstance(action, Suck):
             path = [action.at(time) for time in _knots(action.duration)]
-            return cls(path, _held(-90.0, (0.0, 0.0, CUP), turn=90.0), -90.0, RADIUS)
+            return cls(path, _held(DOWN, (0.0, 0.0, CUP), turn=90.0), -90.0, RADIUS)
         path = []
         for time in _knots(DURATION):
             turn = Rotation.from_euler("x", action.angles(time)[0])
             path.append(turned(turn, PIVOT - turn.apply(PIVOT)))
-        return cls(path, _held(-90.0, GRIP, turn=90.0), -90.0, HELD)
+        return cls(path, _held(DOWN, GRIP, turn=90.0), -90.0, HELD)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -219,8 +221,8 @@ def _knots(duration: float) -> Vector:
     return found
 
 
-def _held(pitch: float, at: Sequence[float], turn: float, roll: float = 180.0) -> Pose:
-    """A hand that points so far up, turned about the upright axis and its own, in degrees."""
-    # The hand's own z axis points out of it, and its fingers open along y.
-    rotation = Rotation.from_euler("ZYZ", [turn, 90.0 - pitch, roll], degrees=True)
+def _held(down: float, at: Sequence[float], turn: float = 0.0) -> Pose:
+    """A hand that points so far down, turned about the upright axis, in degrees."""
+    # The hand's own z axis points out of it, its fingers open along y, and x is its upper side.
+    rotation = Rotation.from_euler("ZYZ", [turn, 90.0 + down, 180.0], degrees=True)
     return turned(rotation, np.array(at))

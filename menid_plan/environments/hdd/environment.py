@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -44,6 +44,16 @@ FINER = (1, 2, 4)
 TRIES = 10
 
 NO_ERRORS: Mapping[str, float] = {field.name: 0.0 for field in fields(Deviations)}
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """Where a camera is: in degrees around the drive and above it, in mm from the ``middle``."""
+
+    direction: float
+    elevation: float = 38.0
+    distance: float = 330.0
+    middle: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 class HddEnvironment:
@@ -127,11 +137,11 @@ class HddEnvironment:
         """The atoms that hold."""
         return self._atoms() | self._others
 
-    def view(self, action: GroundAction) -> tuple[float, float]:
-        """From where an action is best seen, in degrees around the drive, and from how far, in mm."""
+    def view(self, action: GroundAction) -> View:
+        """From where an action is best seen."""
         if action.action == "lever":  # from beside the hand
-            return self._arguments[action.arguments[0]]["direction"] + 180.0 + 55.0, 330.0
-        return 25.0 if action.action == "suck" else -60.0, 330.0
+            return View(self.numbers(action)["direction"] + 180.0 + 55.0)
+        return View(25.0 if action.action == "suck" else -60.0)
 
     def close(self) -> None:
         """There is nothing to let go of: each execution has closed its world."""

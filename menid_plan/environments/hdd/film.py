@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from menid_plan.environments.hdd.environment import HddEnvironment
+from menid_plan.environments.hdd.environment import HddEnvironment, View
 from menid_plan.environments.hdd.scene import Scene
 from menid_plan.environments.hdd.shake import PIVOT
 from menid_plan.environments.interface import EnvironmentFailedError
@@ -30,15 +30,13 @@ BAR = 48  # pixels for the caption
 RATE = 20.0  # pictures for each second
 LINGER = 1.0  # seconds that the last picture stays
 STRIP = 6  # pictures side by side in a PNG
-ELEVATION = 38.0  # of the camera, in degrees
 
 
 @dataclass(slots=True)
 class Camera:
     """Takes pictures of a scene while time passes in it."""
 
-    direction: float
-    distance: float
+    view: View
     pictures: list[Picture] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
 
@@ -50,14 +48,15 @@ class Camera:
 
     def take(self, scene: Scene) -> None:
         """Take a picture now."""
-        angle, rise = math.radians(self.direction), math.radians(ELEVATION)
+        angle, rise = math.radians(self.view.direction), math.radians(self.view.elevation)
         away = np.array(
             [math.cos(angle) * math.cos(rise), math.sin(angle) * math.cos(rise), math.sin(rise)]
         )
         # A drive that is shaken stands still in its own frame: there it is the camera that turns.
         turn = Rotation.from_euler("x", -scene.frame_angle)
-        eye = PIVOT + turn.apply(self.distance * away - PIVOT)
-        middle = PIVOT + turn.apply(-PIVOT)
+        middle = np.array(self.view.middle)
+        eye = PIVOT + turn.apply(middle + self.view.distance * away - PIVOT)
+        middle = PIVOT + turn.apply(middle - PIVOT)
         self.pictures.append(
             scene.world.picture(eye, middle, turn.apply([0, 0, 1]), WIDTH, HEIGHT - BAR)
         )
@@ -76,7 +75,7 @@ def film(environment: HddEnvironment, action: GroundAction, state: State | None,
     """Execute an action before a camera. Where the computation is repeated, the last one is shown."""
     environment.reset(state, seed)
     before = environment.state()
-    camera = Camera(*environment.view(action))
+    camera = Camera(environment.view(action))
     environment.drawn = True
     environment.after_step = camera
     try:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from menid_plan.environments.hdd.arm import PEDESTAL, Motion, Task
 from menid_plan.environments.hdd.environment import (
     NO_ERRORS,
     HddEnvironment,
+    View,
     carry_out,
     tool_of,
 )
@@ -31,9 +33,11 @@ class RobotEnvironment(HddEnvironment):
         # The way of the joints is that of the action as it is planned, whatever errs afterwards.
         self._motions: dict[GroundAction, Motion] = {}
 
-    def view(self, action: GroundAction) -> tuple[float, float]:
-        """From where an action is best seen, in degrees around the drive, and from how far, in mm."""
-        return self._motion(action).task.side + 80.0, 620.0
+    def view(self, action: GroundAction) -> View:
+        """From where the drive and the arm's hand are best seen."""
+        side = self._motion(action).task.side
+        x, y = Rotation.from_euler("z", side, degrees=True).apply([50.0, 0.0, 0.0])[:2]
+        return View(side + 100.0, 22.0, 480.0, (float(x), float(y), 50.0))
 
     def _prepared(
         self, action: GroundAction, numbers: Mapping[str, float], errors: Mapping[str, float]
