@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import importlib
 import os
 import sys
 from typing import Any
@@ -13,12 +12,12 @@ try:
 
     from menid_plan import __version__
     from menid_plan.cli.common import report_diagnostics
+    from menid_plan.cli.groups import LazyGroup
     from menid_plan.errors import InputError, MenidError
 except KeyboardInterrupt:  # no traceback for who changes their mind at once
     print("menid: interrupted", file=sys.stderr)
     raise SystemExit(6) from None
 
-# The module menid_plan.cli.NAME holds the function `command`.
 _COMMANDS = {
     "check": "Report every error in domain and problem files.",
     "experiences": "Show what is in a store of experiences; export and import it.",
@@ -40,25 +39,7 @@ _COMMANDS = {
 }
 
 
-class _LazyGroup(click.Group):
-    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
-        return sorted(_COMMANDS)
-
-    def get_command(
-        self,
-        ctx: click.Context,  # noqa: ARG002
-        cmd_name: str,
-    ) -> click.Command | None:
-        if cmd_name not in _COMMANDS:
-            return None
-        command = importlib.import_module(f"menid_plan.cli.{cmd_name}").command
-        assert isinstance(command, click.Command)
-        return command
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, _COMMANDS[name]) for name in self.list_commands(ctx)])
-
+class _Main(LazyGroup):
     def invoke(self, ctx: click.Context) -> Any:
         for stream in (sys.stdout, sys.stderr):
             if hasattr(stream, "reconfigure"):  # what a terminal can't show is no reason to crash
@@ -89,7 +70,10 @@ class _LazyGroup(click.Group):
             ctx.exit(2)
 
 
-@click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=_Main, module="menid_plan.cli.", texts=_COMMANDS,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)  # fmt: skip
 @click.version_option(__version__, prog_name="menid")
 def main() -> None:
     """Write what a robot's actions do, check it, and see what it means.

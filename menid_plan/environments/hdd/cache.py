@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import io
+import logging
 import os
-import warnings
 import zipfile
 from collections.abc import Callable, Mapping
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
@@ -46,13 +47,17 @@ def kept(key: str, make: Callable[[], Arrays]) -> Arrays:
         path.parent.mkdir(parents=True, exist_ok=True)
         replace_file(path, sha256(data).digest() + data)
     except OSError as error:
-        warnings.warn(
+        _warn(
             f"the cache in {path.parent} can't be written ({error.strerror or error}); what it would"
-            f" keep is made anew each time; {FOLDER_VARIABLE} names another folder",
-            # Told of this line, whoever asked: so Python tells each such text once in a process.
-            stacklevel=1,
+            f" keep is made anew each time; {FOLDER_VARIABLE} names another folder"
         )
     return arrays
+
+
+@cache
+def _warn(text: str) -> None:
+    """Say it once in a process."""
+    logging.getLogger(__name__).warning("menid: warning: %s", text)
 
 
 def _read(path: Path) -> Arrays | None:
