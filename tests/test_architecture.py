@@ -27,7 +27,7 @@ ALLOWED = {
     "compiled": {"files"},
     "experience": {"source", "errors", "model", "grounding", "language"},
     "environments": {"source", "errors", "model", "grounding", "language", "mdp", "experience"}
-    | {"files"},
+    | {"files", "compiled"},
     "memory": {"errors"},
     "mdp": {"source", "errors", "model", "grounding", "compiled", "memory"},
     "solving": {"source", "errors", "model", "grounding", "mdp"},

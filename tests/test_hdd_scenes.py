@@ -135,8 +135,8 @@ def test_a_force_and_a_torque_move_a_body_as_newton_says() -> None:
     with World(EngineSettings(), gravity=0.0) as world:
         body = world.box((10, 10, 10), (0, 0, 0), 0.1, Surface(), GREY, inertia=(10.0, 10.0, 10.0))
         for _ in range(100):
-            world.push(body, np.array([0.2, 0, 0]), world.pose(body).position)
-            world.twist(body, np.array([0, 0, 0.05]))
+            at = world.motion(body)[0]
+            world.push(body, at, (0.2, 0, 0), (0, 0, 0.05))
             world.step()
         linear, angular = world.velocity(body)
         assert linear[0] == pytest.approx(1000 * 0.2 / 0.1 * 0.2, rel=0.01)

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from menid_plan.environments.hdd.engine import Pose, Vector
-from menid_plan.environments.hdd.hand import Hand
+from menid_plan.environments.hdd.hand import Hand, Path
 from menid_plan.environments.hdd.lever import LENGTH, WIDTH, Lever
 from menid_plan.environments.hdd.scene import TABLE, Scene, turned
 from menid_plan.environments.hdd.shake import DURATION, PIVOT, Shake
@@ -124,7 +124,7 @@ class Task:
     about the drive; ``open``: how far each finger is, in mm.
     """
 
-    tool: Sequence[Pose]
+    tool: Path
     grip: Pose
     side: float
     open: float
@@ -133,7 +133,7 @@ class Task:
     def of(cls, action: Lever | Shake | Suck) -> Task:
         """What an action asks of the arm."""
         if isinstance(action, Lever):
-            path = [action.at(time) for time in _knots(action.duration)]
+            path = action.path(_knots(action.duration))
             return cls(
                 path,
                 _held(BACK, (-LENGTH, 0.0, 0.0)),
@@ -141,12 +141,12 @@ class Task:
                 WIDTH / 2,
             )
         if isinstance(action, Suck):
-            path = [action.at(time) for time in _knots(action.duration)]
+            path = action.path(_knots(action.duration))
             return cls(path, _held(DOWN, (0.0, 0.0, CUP), turn=90.0), -90.0, RADIUS)
-        path = []
-        for time in _knots(DURATION):
-            turn = Rotation.from_euler("x", action.angles(time)[0])
-            path.append(turned(turn, PIVOT - turn.apply(PIVOT)))
+        turns = Rotation.from_rotvec(
+            [[action.angles(time)[0], 0.0, 0.0] for time in _knots(DURATION)]
+        )
+        path = Path(PIVOT - turns.apply(PIVOT), turns.as_quat())
         return cls(path, _held(DOWN, GRIP, turn=90.0), -90.0, HELD)
 
 

@@ -30,6 +30,9 @@ GRAVITY = 9810.0  # mm/s^2
 FINGERS = (9, 10)  # the joints of an arm that open its hand
 
 Vector = NDArray[np.float64]
+Plain = tuple[float, float, float]
+# A position in mm, a quaternion, mm/s and rad/s.
+Motion = tuple[Plain, tuple[float, float, float, float], Plain, Plain]
 
 
 def bullet() -> ModuleType:
@@ -293,18 +296,22 @@ class World:
             body, (CM * linear).tolist(), angular.tolist(), physicsClientId=self._id
         )
 
-    def push(self, body: int, force: Vector, at: Vector) -> None:
-        """A force in N on a body at a point of the world, in mm, for the next step."""
-        self._p.applyExternalForce(
-            body, -1, (FORCE * force).tolist(), (CM * at).tolist(), self._p.WORLD_FRAME,
-            physicsClientId=self._id,
-        )  # fmt: skip
+    def motion(self, body: int) -> Motion:
+        """Where a body is and how it moves, in plain numbers: for what is asked at every step."""
+        (x, y, z), turn = self._p.getBasePositionAndOrientation(body, physicsClientId=self._id)
+        (vx, vy, vz), angular = self._p.getBaseVelocity(body, physicsClientId=self._id)
+        return (x / CM, y / CM, z / CM), turn, (vx / CM, vy / CM, vz / CM), angular
 
-    def twist(self, body: int, torque: Vector) -> None:
-        """A torque in N mm on a body, about axes of the world, for the next step."""
-        self._p.applyExternalTorque(
-            body, -1, (FORCE * CM * torque).tolist(), self._p.WORLD_FRAME, physicsClientId=self._id
-        )
+    def push(self, body: int, at: Plain, force: Sequence[float], torque: Sequence[float]) -> None:
+        """A force in N on a body whose middle is at a point in mm, and a torque in N mm about it.
+
+        Both are along axes of the world, and act for the next step.
+        """
+        p, frame = self._p, self._p.WORLD_FRAME
+        force, at = [FORCE * f for f in force], (CM * at[0], CM * at[1], CM * at[2])
+        p.applyExternalForce(body, -1, force, at, frame, physicsClientId=self._id)
+        torque = [FORCE * CM * t for t in torque]
+        p.applyExternalTorque(body, -1, torque, frame, physicsClientId=self._id)
 
     def hold(self, body: int, pose: Pose, force: float) -> int:
         """Hold a body at a pose by at most a force in N; what it is held by, for `move`."""

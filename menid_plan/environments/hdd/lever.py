@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from menid_plan.environments.hdd.engine import Pose, Surface
+from menid_plan.environments.hdd.engine import Pose, Surface, Vector
 from menid_plan.environments.hdd.geometry import CLEARANCE, SLOT_FLOOR, WALL
-from menid_plan.environments.hdd.hand import STEADY, Hand
-from menid_plan.environments.hdd.scene import BLUE, Scene, eased, turned
+from menid_plan.environments.hdd.hand import STEADY, Hand, Path
+from menid_plan.environments.hdd.scene import BLUE, Scene, eased
 
 WIDTH, HEIGHT, LENGTH = 7.0, 1.0, 80.0  # mm
 TIP = 30.0  # how much of it touches anything
@@ -52,41 +53,41 @@ class Lever:
         angle = np.radians(self.direction)
         return float(2 * abs(self.x * np.cos(angle) + self.y * np.sin(angle)))
 
-    def pose(self, along: float, height: float, pitch: float) -> Pose:
-        """The pose of the blade whose tip is so far in and so high (mm), pitched up (degrees)."""
-        yaw = Rotation.from_euler("z", self.direction, degrees=True)
-        at = yaw.apply([along, self.across, 0]) + np.array([self.x, self.y, height + self.above])
-        turn = (
-            Rotation.from_euler("z", self.askew)
-            * yaw
-            * Rotation.from_euler("y", -pitch, degrees=True)
-        )
-        return turned(turn, at)
-
-    def at(self, time: float) -> Pose:
-        """The pose that the hand aims at, so many seconds after it began."""
+    def path(self, times: Vector) -> Path:
+        """The poses of the blade's tip that the hand aims at, so many seconds after it began."""
         depth = DEPTH + self.deeper
-        part = eased(time / INSERT)
-        if time <= INSERT:
-            return self.pose(START + (depth - START) * part, LEVEL, 0.0)
+        part = eased(times / INSERT)
+        along, height, pitch = START + (depth - START) * part, np.full_like(times, LEVEL), 0 * times
         # Prising turns it about the outer edge of the slot's floor.
         pivot_x, pivot_z = -(CLEARANCE + WALL), SLOT_FLOOR
-        pitch = PRY * eased((time - INSERT) / RAISE)
-        c, s = np.cos(np.radians(pitch)), np.sin(np.radians(pitch))
+        turned = np.radians(PRY * eased((times - INSERT) / RAISE))
+        c, s = np.cos(turned), np.sin(turned)
         reach, rise = depth - pivot_x, LEVEL - pivot_z
-        along, height = pivot_x + c * reach - s * rise, pivot_z + s * reach + c * rise
-        if time <= INSERT + RAISE:
-            return self.pose(along, height, pitch)
+        prising = times > INSERT
+        along = np.where(prising, pivot_x + c * reach - s * rise, along)
+        height = np.where(prising, pivot_z + s * reach + c * rise, height)
+        pitch = np.degrees(turned)
         # Then its tip runs about the far edge of the board.
+        last = times > INSERT + RAISE
         radius = np.hypot(self.far - along, height)
         first = np.degrees(np.arctan2(height, self.far - along))
-        share = eased((time - INSERT - RAISE) / ARC)
+        share = eased((times - INSERT - RAISE) / ARC)
         angle = np.radians(first + (TURN - first) * share)
-        along, height = self.far - radius * np.cos(angle), radius * np.sin(angle)
+        shove = eased((times - INSERT - RAISE - ARC) / SHOVE)
+        back = eased((times - INSERT - RAISE - ARC - SHOVE) / WITHDRAW)
+        along = np.where(last, self.far - radius * np.cos(angle) + PUSH * (shove - 2 * back), along)
+        height = np.where(last, radius * np.sin(angle) + 20.0 * back, height)
         pitch += 30.0 * share
-        shove = eased((time - INSERT - RAISE - ARC) / SHOVE)
-        back = eased((time - INSERT - RAISE - ARC - SHOVE) / WITHDRAW)
-        return self.pose(along + PUSH * (shove - 2 * back), height + 20.0 * back, pitch)
+        # From the way in to the world.
+        zero = 0 * times
+        yaw = Rotation.from_euler("z", self.direction, degrees=True)
+        at = yaw.apply(np.stack([along, zero + self.across, height + self.above], axis=1))
+        turns = (
+            Rotation.from_euler("z", self.askew)
+            * yaw
+            * Rotation.from_euler("y", -pitch[:, None], degrees=True)
+        )
+        return Path(at + np.array([self.x, self.y, 0.0]), turns.as_quat())
 
     @property
     def duration(self) -> float:
@@ -97,7 +98,10 @@ class Lever:
 def lever(scene: Scene, action: Lever, hand: Hand = STEADY) -> None:
     """Carry the action out in a scene."""
     world = scene.world
-    start = hand.led(action.at(0.0), 0.0)
+    planned = action.duration * hand.stretch
+    times: Vector = world.dt * np.arange(round(planned / world.dt) + 1.0)
+    path = hand.led(action.path(times / hand.stretch), times)
+    start = path[0]
     tool = world.box(
         (TIP / 2, WIDTH / 2, HEIGHT / 2), start.position, MASS, Surface(1.0, 0.1), BLUE,
         offset=(-TIP / 2, 0, 0), turn=start.turn,
@@ -105,21 +109,20 @@ def lever(scene: Scene, action: Lever, hand: Hand = STEADY) -> None:
         held=True,
     )  # fmt: skip
     held = world.hold(tool, start, action.force)
-    step = world.dt / hand.stretch  # of the motion as it was planned
 
-    def follow(begin: float, end: float, force: float) -> None:
-        for number in range(round(begin / step), round(end / step)):
-            world.move(held, hand.led(action.at(number * step), number * world.dt), force)
+    def follow(poses: Iterable[Pose], force: float) -> None:
+        for pose in poses:
+            world.move(held, pose, force)
             scene.step()
 
     gentle = min(GENTLE, action.force)
-    follow(0.0, INSERT, gentle)
-    aim = hand.led(action.at(INSERT), INSERT * hand.stretch)
-    missed = world.pose(tool).position - aim.position
+    inside = round(INSERT * hand.stretch / world.dt)
+    follow((path[k] for k in range(inside)), gentle)
+    missed = world.pose(tool).position - path[inside].position
     if np.linalg.norm(missed) < REACHED:
-        follow(INSERT, action.duration, action.force)
+        follow((path[k] for k in range(inside, len(times) - 1)), action.force)
     else:  # the hand feels that the lever did not go in, and takes it back
-        for number in range(round(WITHDRAW / step)):
-            world.move(held, action.at(INSERT - number * step * INSERT / WITHDRAW), gentle)
-            scene.step()
+        number = round(WITHDRAW * hand.stretch / world.dt)
+        back = np.linspace(inside, 0, number, endpoint=False).round().astype(int)
+        follow((path[k] for k in back), gentle)
     scene.rest()

@@ -52,9 +52,9 @@ def turned(rotation: Rotation, position: Vector) -> Pose:
     return Pose(position, rotation.as_quat())
 
 
-def eased(share: float) -> float:
+def eased(share: Vector) -> Vector:
     """From 0 to 1, at rest at both ends."""
-    share = min(max(share, 0.0), 1.0)
+    share = np.clip(share, 0.0, 1.0)
     return share * share * (3 - 2 * share)
 
 
@@ -121,8 +121,8 @@ class Scene:
         still = 0.0
         for _ in range(round(LONGEST / step)):
             self.step()
-            linear, angular = self.world.velocity(self.board)
-            moves = np.abs(linear).max() > STILL or np.abs(angular).max() > STILL_TURN
+            _, _, linear, angular = self.world.motion(self.board)
+            moves = max(map(abs, linear)) > STILL or max(map(abs, angular)) > STILL_TURN
             still = 0.0 if moves else still + step
             if still >= STILL_FOR:
                 break

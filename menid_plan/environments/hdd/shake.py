@@ -7,6 +7,7 @@ such a frame: turned gravity, and the Euler, centrifugal and Coriolis forces.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,14 +35,14 @@ class Shake:
     def angles(self, time: float) -> tuple[float, float, float]:
         """The angle of the drive (rad), its rate and its acceleration, at a time in seconds."""
         # The envelope is eased, so that the rate begins at 0; its derivatives are kept.
-        amplitude = np.radians(self.degrees)
-        omega = 2 * np.pi * self.frequency
+        amplitude = math.radians(self.degrees)
+        omega = 2 * math.pi * self.frequency
         envelope, slope, bend = _envelope(time)
-        s, c = np.sin(omega * time), np.cos(omega * time)
+        s, c = math.sin(omega * time), math.cos(omega * time)
         return (
-            float(amplitude * envelope * s),
-            float(amplitude * (slope * s + envelope * omega * c)),
-            float(amplitude * (bend * s + 2 * slope * omega * c - envelope * omega**2 * s)),
+            amplitude * envelope * s,
+            amplitude * (slope * s + envelope * omega * c),
+            amplitude * (bend * s + 2 * slope * omega * c - envelope * omega**2 * s),
         )
 
 
@@ -69,27 +70,34 @@ def shake(scene: Scene, action: Shake, hand: Hand = STEADY) -> None:
     if peak > LOOSE * gravity:
         world.set_step(usual / FINER)
     step = world.dt
-    inertia = np.array(BOARD_INERTIA)
+    inertia = BOARD_INERTIA
+    _, pivot_y, pivot_z = PIVOT.tolist()
     for number in range(round(DURATION * hand.stretch / step)):
         angle, rate, acceleration = action.angles(number * step / hand.stretch)
         rate, acceleration = rate / hand.stretch, acceleration / hand.stretch**2
-        pose = world.pose(scene.board)
-        velocity, _ = world.velocity(scene.board)
-        # About the x axis: cross products written out.
-        _, y, z = pose.position - PIVOT
-        _, vy, vz = velocity
-        turned = -gravity * np.array([0.0, np.sin(angle), np.cos(angle) - 1.0])
-        euler = acceleration * np.array([0.0, z, -y])
-        centrifugal = rate**2 * np.array([0.0, y, z])
-        coriolis = 2 * rate * np.array([0.0, vz, -vy])
-        apparent = (turned + euler + centrifugal + coriolis) / 1000  # m/s^2
-        world.push(scene.board, BOARD_MASS * apparent, pose.position)
-        matrix = pose.matrix
-        about_x = matrix @ (inertia * matrix[0])  # the inertia tensor times the x axis, kg mm^2
-        world.twist(scene.board, -acceleration * about_x / 1000)
+        at, (qx, qy, qz, qw), (_, vy, vz), _ = world.motion(scene.board)
+        # What is added in mm/s^2: turned gravity, Euler, centrifugal and Coriolis, about the x axis.
+        y, z = at[1] - pivot_y, at[2] - pivot_z
+        added_y = -gravity * math.sin(angle) + acceleration * z + rate**2 * y + 2 * rate * vz
+        added_z = gravity * (1 - math.cos(angle)) - acceleration * y + rate**2 * z - 2 * rate * vy
+        # The inertia tensor times the x axis: each of the body's axes by its part along x.
+        a = 1 - 2 * (qy * qy + qz * qz)
+        b = 2 * (qx * qy - qz * qw)
+        c = 2 * (qx * qz + qy * qw)
+        along, across, up = inertia[0] * a, inertia[1] * b, inertia[2] * c
+        second = 2 * (qx * qy + qz * qw), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz - qx * qw)
+        third = 2 * (qx * qz - qy * qw), 2 * (qy * qz + qx * qw), 1 - 2 * (qx * qx + qy * qy)
+        turning = (
+            along * a + across * b + up * c,
+            along * second[0] + across * second[1] + up * second[2],
+            along * third[0] + across * third[1] + up * third[2],
+        )
+        mass = BOARD_MASS / 1000
+        torque = [-acceleration * t / 1000 for t in turning]
+        world.push(scene.board, at, (0.0, mass * added_y, mass * added_z), torque)
         scene.frame_angle = angle
         scene.step()
-        if max(abs(pose.position[:2])) > OUT:
+        if max(abs(at[0]), abs(at[1])) > OUT:
             break
     scene.frame_angle = 0.0
     world.set_step(usual)

@@ -10,11 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from menid_plan.environments.hdd.engine import Pose
+from menid_plan.compiled import kernel
 from menid_plan.environments.hdd.geometry import THICKNESS
-from menid_plan.environments.hdd.hand import STEADY, Hand
+from menid_plan.environments.hdd.hand import STEADY, Hand, Path
 from menid_plan.environments.hdd.mesh import Points, TriangleMesh
 from menid_plan.environments.hdd.scene import BLACK, BOARD_MASS, Scene, eased, level
 
@@ -47,10 +46,10 @@ class Suck:
     y: float
     pressure: float
 
-    def at(self, time: float) -> Pose:
-        """The pose that the hand aims at for the cup's lip, so many seconds after it began."""
-        way = _way(time)
-        return level(self.x, self.y + way[1], THICKNESS + way[2])
+    def path(self, times: Points) -> Path:
+        """The poses that the hand aims at for the cup's lip, so many seconds after it began."""
+        at = _way(times) + np.array([self.x, self.y, THICKNESS])
+        return Path(at, np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1)))
 
     @property
     def duration(self) -> float:
@@ -99,56 +98,94 @@ def hole_area(mesh: TriangleMesh, middle: Points) -> float:
     return total
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Grip:
     """Where the lip met the board when the cup came down, and what it is made of.
 
-    ``rest``: the lip's points in the world, (n, 2) in mm; ``anchors``: where they met the surface, in
-    the board's frame, (n, 3); ``touching``: which of them met any; ``top``: the height of the highest;
-    ``middle``: the cup's middle on the surface, in the board's frame; ``holes``: the area of the holes
-    under it in mm^2; ``suction`` in N with a perfect seal; ``damping`` of a point in N s/mm.
+    ``lip``: a row for each point, (n, 6): where it is in the world (x, y) and where it met the
+    surface, in the board's frame, in mm, and 1 if it met any. ``numbers``, (7,): the cup's middle on
+    the surface, in the board's frame; the height of the highest point that it touches; the area of the
+    holes under it in mm^2; the suction in N with a perfect seal; the damping of a point in N s/mm.
     """
 
-    rest: Points
-    anchors: Points
-    touching: NDArray[np.bool_]
-    top: float
-    middle: Points
-    holes: float
-    suction: float
-    damping: float
+    lip: Points
+    numbers: Points
 
-    def forces(self, scene: Scene, hand: Points, speed: Points) -> tuple[Points, Points, bool]:
-        """The force (N) and torque (N mm) on the board, and whether the lip still holds it.
+    @property
+    def top(self) -> float:
+        """The height of the highest point that the lip touches, in mm."""
+        return float(self.numbers[3])
 
-        ``hand``: how far the cup has moved aside (x, y) and how high it is over ``top``; ``speed`` in
-        mm/s.
+    def forces(self, now: Points, found: Points) -> bool:
+        """Write the force (N) and torque (N mm) on the board, (6,); whether the lip still holds it.
+
+        ``now`` (19,): the board's position (mm), quaternion, velocity (mm/s) and turning (rad/s), how
+        far the cup has moved aside (x, y) and how high it is over ``top``, and its velocity.
         """
-        pose = scene.pose
-        linear, angular = scene.world.velocity(scene.board)
-        matrix = pose.matrix
-        arms = self.anchors @ matrix.T
-        points = pose.position + arms
-        motion = speed - linear - _cross(angular, arms)
-        gap = np.where(self.touching, self.top + hand[2] - points[:, 2], np.inf)
-        opening = float(np.maximum(gap - FLEXIBLE, 0)[self.touching].sum() * ARC)
-        opening += self.holes + float((~self.touching).sum()) * ARC * BESIDE
-        pull = self.suction / (1 + (opening / LEAK) ** 2) * matrix[:, 2]
-        # The lip only pushes: down, and aside by friction.
-        pressed = -SPRING * gap - self.damping * motion[:, 2]
-        pressed = np.where((gap < 0) & (pressed > 0), pressed, 0.0)
-        force = np.empty((LIP, 3))
-        force[:, :2] = (
-            SPRING * (self.rest + hand[:2] - points[:, :2]) + self.damping * motion[:, :2]
-        )
-        force[~self.touching] = 0.0
-        most = SHEAR * float(pressed.sum())
-        size = float(np.hypot(*force[:, :2].sum(axis=0)))
-        if size > most:
-            force[:, :2] *= most / size
-        force[:, 2] = -pressed
-        torque = _cross(arms, force).sum(axis=0) + _cross(matrix @ self.middle, pull)
-        return force.sum(axis=0) + pull, torque, bool((gap < LOST).any())
+        return bool(_press(self.lip, self.numbers, now, found))
+
+
+@kernel("b1(f8[:,::1], f8[::1], f8[::1], f8[::1])")
+def _press(lip: Points, numbers: Points, now: Points, found: Points) -> bool:
+    """The force and the torque of the lip and of the vacuum on the board where it is."""
+    top, holes, suction, damping = numbers[3], numbers[4], numbers[5], numbers[6]
+    qx, qy, qz, qw = now[3], now[4], now[5], now[6]
+    xx, xy, xz = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy - qz * qw), 2 * (qx * qz + qy * qw)
+    yx, yy, yz = 2 * (qx * qy + qz * qw), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz - qx * qw)
+    zx, zy, zz = 2 * (qx * qz - qy * qw), 2 * (qy * qz + qx * qw), 1 - 2 * (qx * qx + qy * qy)
+    opening = holes
+    pressed = 0.0
+    aside_x = 0.0
+    aside_y = 0.0
+    holds = False
+    # First what the lip does upright, which bounds its friction; then what friction does aside.
+    for side in range(2):
+        share = 0.0
+        if side == 1:
+            size = np.sqrt(aside_x * aside_x + aside_y * aside_y)
+            share = 1.0 if size <= SHEAR * pressed else SHEAR * pressed / size
+            opening_share = opening / LEAK
+            pull = suction / (1.0 + opening_share * opening_share)
+            found[0] = share * aside_x + pull * xz
+            found[1] = share * aside_y + pull * yz
+            found[2] = -pressed + pull * zz
+            x = xx * numbers[0] + xy * numbers[1] + xz * numbers[2]
+            y = yx * numbers[0] + yy * numbers[1] + yz * numbers[2]
+            z = zx * numbers[0] + zy * numbers[1] + zz * numbers[2]
+            found[3] = pull * (y * zz - z * yz)
+            found[4] = pull * (z * xz - x * zz)
+            found[5] = pull * (x * yz - y * xz)
+        for k in range(LIP):
+            if lip[k, 5] == 0.0:
+                if side == 0:
+                    opening += ARC * BESIDE
+                continue
+            a, b, c = lip[k, 2], lip[k, 3], lip[k, 4]
+            x = xx * a + xy * b + xz * c
+            y = yx * a + yy * b + yz * c
+            z = zx * a + zy * b + zz * c
+            gap = top + now[15] - now[2] - z
+            slip = now[18] - now[9] - (now[10] * y - now[11] * x)
+            # The lip only pushes: down, and aside by friction.
+            down = -SPRING * gap - damping * slip if gap < 0.0 else 0.0
+            down = max(down, 0.0)
+            slip = now[16] - now[7] - (now[11] * z - now[12] * y)
+            force_x = SPRING * (lip[k, 0] + now[13] - now[0] - x) + damping * slip
+            slip = now[17] - now[8] - (now[12] * x - now[10] * z)
+            force_y = SPRING * (lip[k, 1] + now[14] - now[1] - y) + damping * slip
+            if side == 0:
+                opening += max(gap - FLEXIBLE, 0.0) * ARC
+                pressed += down
+                aside_x += force_x
+                aside_y += force_y
+                holds = holds or gap < LOST
+            else:
+                force_x *= share
+                force_y *= share
+                found[3] += -y * down - z * force_y
+                found[4] += z * force_x + x * down
+                found[5] += x * force_y - y * force_x
+    return holds
 
 
 def gripped(scene: Scene, action: Suck) -> Grip:
@@ -166,11 +203,13 @@ def gripped(scene: Scene, action: Suck) -> Grip:
     surfaces = surface[touching]
     middle[2] = float(np.median(surfaces)) if len(surfaces) else 0.0
     critical = 2 * np.sqrt(1000 * STIFFNESS * BOARD_MASS) / 1000  # N s/mm
+    top = float(tops.max(initial=pose.position[2]))
+    suction = abs(action.pressure) * 1e-6 * np.pi * RADIUS**2
+    holes, damping = hole_area(mesh, middle[:2]), DAMPING * critical / LIP
     return Grip(
-        rest, anchors, touching, float(tops.max(initial=pose.position[2])), middle,
-        hole_area(mesh, middle[:2]), abs(action.pressure) * 1e-6 * np.pi * RADIUS**2,
-        DAMPING * critical / LIP,
-    )  # fmt: skip
+        np.column_stack([rest, anchors, touching]),
+        np.array([*middle, top, holes, suction, damping]),
+    )
 
 
 def suck(scene: Scene, action: Suck, hand: Hand = STEADY) -> None:
@@ -180,35 +219,28 @@ def suck(scene: Scene, action: Suck, hand: Hand = STEADY) -> None:
     cup = world.ghost(RADIUS, CUP, BLACK) if world.drawn else None
     step = world.dt
 
-    def cup_at(time: float) -> Points:
-        return _way(time / hand.stretch) + hand.way(time)
-
-    for number in range(round(action.duration * hand.stretch / step)):
-        time = number * step
-        now, later = cup_at(time), cup_at(time + step)
-        force, torque, holds = grip.forces(scene, now, (later - now) / step)
-        if time > (LOWER + HOLD) * hand.stretch and not holds:
+    times: Points = step * np.arange(round(action.duration * hand.stretch / step) + 1.0)
+    way = _way(times / hand.stretch) + hand.ways(times)
+    speeds = np.diff(way, axis=0) / step
+    found = np.empty(6)
+    for number, (now, speed) in enumerate(zip(way[:-1].tolist(), speeds.tolist(), strict=True)):
+        at, turn, linear, angular = world.motion(scene.board)
+        holds = grip.forces(np.array([*at, *turn, *linear, *angular, *now, *speed]), found)
+        if times[number] > (LOWER + HOLD) * hand.stretch and not holds:
             break
-        world.push(scene.board, force, scene.pose.position)
-        world.twist(scene.board, torque)
+        force = found.tolist()
+        world.push(scene.board, at, force[:3], force[3:])
         if cup is not None:
-            at = np.array([action.x, action.y, grip.top + CUP / 2]) + now
-            world.place(cup, level(*at))
+            x, y, z = now
+            world.place(cup, level(action.x + x, action.y + y, grip.top + CUP / 2 + z))
         scene.step()
     scene.rest()
 
 
-def _way(time: float) -> Points:
-    """How far aside the cup is (x, y), and how high over the board's top at the start, in mm."""
-    down = eased(time / LOWER)
-    up = eased((time - LOWER - HOLD) / LIFT)
-    aside = eased((time - LOWER - HOLD - LIFT) / CARRY)
+def _way(times: Points) -> Points:
+    """How far aside the cup is (x, y), and how high over the board at the start, in mm: (n, 3)."""
+    down = eased(times / LOWER)
+    up = eased((times - LOWER - HOLD) / LIFT)
+    aside = eased((times - LOWER - HOLD - LIFT) / CARRY)
     height = CLEARANCE - (CLEARANCE + PRELOAD) * down + HEIGHT * up
-    return np.array([0.0, ASIDE * aside, height])
-
-
-def _cross(a: Points, b: Points) -> Points:
-    """The cross product along the last axis; NumPy's own takes five times as long for so few."""
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+    return np.stack([0.0 * aside, ASIDE * aside, height], axis=-1)

@@ -81,7 +81,8 @@ def validity(board: TriangleMesh, bay: TriangleMesh, physics: Physics) -> Validi
         rest = scene.pose
         steps = round(LIFTED_FOR / scene.world.dt)
         for _ in range(steps):
-            scene.world.push(scene.board, np.array([0, 0, LIFT * weight]), scene.pose.position)
+            at = scene.world.motion(scene.board)[0]
+            scene.world.push(scene.board, at, (0.0, 0.0, LIFT * weight), (0.0, 0.0, 0.0))
             scene.step()
         lifted = scene.pose.position - rest.position
         free = 0.5 * (LIFT - 1) * physics.gravity * LIFTED_FOR**2
