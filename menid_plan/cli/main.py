@@ -20,6 +20,7 @@ except KeyboardInterrupt:  # no traceback for who changes their mind at once
 
 _COMMANDS = {
     "check": "Report every error in domain and problem files.",
+    "export": "Write a model in the languages of other planners.",
     "experiences": "Show what is in a store of experiences; export and import it.",
     "env": "Check environments; list the kinds that there are.",
     "delta": "Tell how far a distribution seen in counts may be off.",

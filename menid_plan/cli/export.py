@@ -1,0 +1,18 @@
+"""`menid export`: a model in the languages of other planners."""
+
+from __future__ import annotations
+
+import click
+
+from menid_plan.cli.groups import LazyGroup
+
+_LANGUAGES = {
+    "ppddl": "PPDDL: a domain and a problem, state by state.",
+}
+
+
+@click.group(
+    "export", cls=LazyGroup, module="menid_plan.cli.export_", texts=_LANGUAGES, heading="Languages"
+)
+def command() -> None:
+    """Write a model in the language of other planners."""
