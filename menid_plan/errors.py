@@ -47,3 +47,9 @@ class LimitError(MenidError):
     """Something is larger than a limit that the message names."""
 
     exit_code = 6
+
+
+class MissingDependencyError(MenidError):
+    """Something needs a package that is not installed; the message says how to have it."""
+
+    exit_code = 5

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from menid_plan.errors import MenidError
+from menid_plan.errors import MissingDependencyError as MissingDependencyError
 from menid_plan.mdp.model import MDP, Floats, Ints, SmallInts
 
 Objective: TypeAlias = Literal["reward", "goal-then-reward", "goal-probability", "steps"]
@@ -184,12 +185,6 @@ class UnsupportedError(MenidError):
     """A solver does not handle an objective, or an MDP of that kind."""
 
     exit_code = 4
-
-
-class MissingDependencyError(MenidError):
-    """A solver needs a package that is not installed."""
-
-    exit_code = 5
 
 
 def solver_entry_points() -> dict[str, EntryPoint]:

@@ -25,6 +25,7 @@ ALLOWED = {
     "files": set(),
     "interrupts": set(),
     "compiled": {"files"},
+    "charts": {"errors"},
     "experience": {"source", "errors", "model", "grounding", "language"},
     "environments": {"source", "errors", "model", "grounding", "language", "mdp", "experience"}
     | {"files", "compiled"},
@@ -35,8 +36,19 @@ ALLOWED = {
     "policy": {"errors", "grounding", "mdp", "solving", "simulation"},
     "policy_file": {"errors", "language", "grounding", "model", "solving", "policy"},
     "planning": {"errors", "model", "grounding", "mdp", "solving", "policy", "simulation"},
-    "exchange": {"source", "errors", "model", "grounding", "mdp", "solving", "policy", "files"},
+    "exchange": {
+        "charts",
+        "source",
+        "errors",
+        "model",
+        "grounding",
+        "mdp",
+        "solving",
+        "policy",
+        "files",
+    },
     "learning": {
+        "charts",
         "source",
         "errors",
         "model",
@@ -50,7 +62,16 @@ ALLOWED = {
         "files",
         "interrupts",
     },
-    "studies": {"errors", "model", "grounding", "mdp", "solving", "experience", "environments"}
+    "studies": {
+        "charts",
+        "errors",
+        "model",
+        "grounding",
+        "mdp",
+        "solving",
+        "experience",
+        "environments",
+    }
     | {"planning", "simulation", "learning"},
     "cli": {
         "source",
@@ -72,6 +93,7 @@ ALLOWED = {
         "studies",
         "files",
         "interrupts",
+        "charts",
     },
 }
 # Which packages from elsewhere are imported in one place only.
@@ -81,6 +103,7 @@ ONLY_IN = {
     "llvmlite": {"menid_plan.compiled"},
     "numba": {"menid_plan.compiled"},
     "rich": {"menid_plan.cli"},
+    "matplotlib": {"menid_plan.charts", "menid_plan.exchange.picture"},
     "pybullet": {"menid_plan.environments.hdd"},
     "gymnasium": {"menid_plan.environments.gymnasium"},
     "distributed": {"menid_plan.environments.dask"},

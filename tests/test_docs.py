@@ -39,6 +39,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
+from menid_plan.cli import learn
 from menid_plan.cli.main import main
 from menid_plan.cli.tasks import Display
 from menid_plan.grounding.formulas import WORK_LIMIT
@@ -262,7 +263,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shutil.copytree(ROOT / "domains", tmp_path / "domains")
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(Display, "FIRST", math.inf)  # pages show a machine that is not slow
+    # Pages show a machine that is not slow.
+    monkeypatch.setattr(Display, "FIRST", math.inf)
+    monkeypatch.setattr(learn._View, "EVERY", math.inf)
     return tmp_path
 
 

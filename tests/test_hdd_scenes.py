@@ -464,6 +464,21 @@ def test_what_cannot_be_filmed_is_told(
     assert message in found.output
 
 
+def test_the_best_action_is_filmed(tmp_path: Path) -> None:
+    out = tmp_path / "best.png"
+    found = render(tmp_path, "--best", "-o", str(out))
+    assert found.exit_code == 0, found.output
+    assert "the best action in fine: lever(n8)\n" in found.stderr
+    assert found.stdout == "lever(n8): on-table(board)\n"
+    assert out.read_bytes().startswith(b"\x89PNG")
+
+
+def test_with_the_best_action_none_is_given(tmp_path: Path) -> None:
+    found = render(tmp_path, "lever(n8)", "--best", "-o", str(tmp_path / "best.png"))
+    assert found.exit_code == 2
+    assert "there is no file `lever(n8)`" in found.output
+
+
 def test_without_a_screen_there_is_no_window(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

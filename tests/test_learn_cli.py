@@ -139,6 +139,24 @@ def test_options_come_before_the_run_file(
         assert settings["steps"] is None  # one limit on the line stands for all in the file
 
 
+def test_the_curve_is_drawn(levers: Menid) -> None:
+    pytest.importorskip("matplotlib", reason="the extra `draw` is not installed")
+    result = learn(levers, "--curve", "curve.png")
+    assert result.exit_code == 0, result.stderr
+    assert result.stdout.endswith("wrote curve.png\n")
+    assert Path("curve.png").read_bytes().startswith(b"\x89PNG")
+    # A run of no steps has a curve, too.
+    assert learn(levers, "--steps", "0", "--curve", "none.png", out="none").exit_code == 0
+    assert Path("none.png").exists()
+
+
+def test_a_curve_that_cannot_be_written_is_told_before_the_run(levers: Menid) -> None:
+    result = learn(levers, "--curve", "nowhere/curve.png")
+    assert result.exit_code == 2
+    assert "there is no folder `nowhere`" in result.stderr
+    assert not Path("out").exists()
+
+
 def test_resume_goes_on(levers: Menid) -> None:
     assert learn(levers, "--steps", "5").exit_code == 0
     assert learn(levers, "--steps", "5").exit_code == 3

@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from menid_plan.cli.common import existing_file, json_option, load_both, setting_option
+from menid_plan.cli.common import (
+    distinct_outputs,
+    existing_file,
+    json_option,
+    load_both,
+    setting_option,
+)
+from menid_plan.cli.tasks import tell_written
+from menid_plan.files import replace_file
 from menid_plan.interrupts import Interrupts
 
 if TYPE_CHECKING:
@@ -45,6 +53,10 @@ if TYPE_CHECKING:
 @click.option("--hours", type=click.FloatRange(0), help="End after so many hours of the clock.")
 @click.option("--workers", type=click.IntRange(0, 1024), metavar="N",
               help="Worker processes; 0 executes everything in this one.")  # fmt: skip
+@click.option(
+    "--curve", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE.png",
+    help="Draw the learning curve when the run ends.",
+)  # fmt: skip
 @json_option
 @click.pass_context
 def command(
@@ -57,6 +69,7 @@ def command(
     settings: dict[str, float],
     m: float | None,
     workers: int | None,
+    curve: Path | None,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -67,6 +80,11 @@ def command(
     a run that was killed, and nothing is executed twice.
     """
     domain, problem = load_both(files)
+    if curve is not None:
+        from menid_plan import charts
+
+        distinct_outputs([*files, run_file], curve)
+        charts.require()
     from menid_plan.environments.printing import prints_to_stderr
     from menid_plan.environments.runfile import RunFileError, read_run_file
     from menid_plan.environments.settings import SettingError
@@ -107,6 +125,11 @@ def command(
         click.echo(json.dumps(_result(run), indent=2))
     else:
         _show(_result(run), run)
+    if curve is not None:
+        from menid_plan.learning.curve import curve_png
+
+        replace_file(curve, curve_png(run.folder / "curve.csv"))
+        tell_written([curve], err=as_json)
     if interrupted:
         click.echo("interrupted; --resume goes on with this run", err=True)
         ctx.exit(6)

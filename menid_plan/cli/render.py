@@ -6,15 +6,19 @@ from pathlib import Path
 
 import click
 
-from menid_plan.cli.common import existing_file, load_both
+from menid_plan.cli.common import load_both
 from menid_plan.files import replace_file
-from menid_plan.grounding.state import GroundAction, state_text
+from menid_plan.grounding.state import GroundAction, State, state_text
 from menid_plan.language.ground import read_action, read_state
+from menid_plan.model.domain import Domain, Problem
 
 
 @click.command("render")
-@click.argument("files", nargs=-1, required=True, type=existing_file, metavar="DOMAIN PROBLEM")
-@click.argument("action", metavar="ACTION")
+@click.argument("given", nargs=-1, required=True, metavar="DOMAIN PROBLEM ACTION")
+@click.option(
+    "--best", is_flag=True,
+    help="In place of ACTION: the one that is best by the domain's numbers.",
+)  # fmt: skip
 @click.option(
     "--run", "run_file", required=True, metavar="FILE.toml",
     type=click.Path(exists=True, dir_okay=False),
@@ -32,8 +36,8 @@ from menid_plan.language.ground import read_action, read_state
 )  # fmt: skip
 @click.option("--gui", is_flag=True, help="Show it in PyBullet's window.")
 def command(
-    files: tuple[str, ...],
-    action: str,
+    given: tuple[str, ...],
+    best: bool,
     run_file: str,
     name: str | None,
     state: str | None,
@@ -43,6 +47,7 @@ def command(
 ) -> None:
     """Execute ACTION, such as "lever(n7)", in an environment with something to be seen.
 
+    With --best in place of ACTION, the one that is best by the domain's numbers for the environment.
     The same seed gives the same pictures, and the state in which the execution ends is printed.
     """
     from menid_plan.environments.hdd.kind import Hdd
@@ -56,8 +61,13 @@ def command(
         raise click.UsageError(f"{output}: the file's ending must be .gif, .mp4 or .png")
     if output is not None and not output.parent.is_dir():
         raise click.UsageError(f"{output}: there is no folder {output.parent}")
+    files = given if best else given[:-1]
+    if not files:
+        raise click.UsageError("give DOMAIN, PROBLEM and ACTION, or --best in place of an action")
+    for file in files:
+        if file != "-" and not Path(file).is_file():
+            raise click.UsageError(f"there is no file `{file}`")
     domain, problem = load_both(files)
-    chosen = GroundAction(*read_action(action, domain, problem, "ACTION"))
     start = None if state is None else read_state(state, domain, problem, "--state")
     bound = read_run_file(run_file).bind(domain, problem)
     names = [spec.name for spec in bound.environments]
@@ -69,6 +79,10 @@ def command(
             f"environment `{spec.name}` of kind `{spec.kind.name}` has nothing to be seen; those of"
             " kind `hdd` have"
         )
+    if best:
+        chosen = _best(domain, problem, spec.name, start)
+    else:
+        chosen = GroundAction(*read_action(given[-1], domain, problem, "ACTION"))
     environment = spec.kind.build(spec.place)
     from menid_plan.environments.hdd import film
 
@@ -80,3 +94,17 @@ def command(
         after = found.state
         click.echo(f"wrote {output}", err=True)
     click.echo(f"{chosen}: {state_text(after)}")
+
+
+def _best(domain: Domain, problem: Problem, environment: str, state: State | None) -> GroundAction:
+    """The action to begin with, by the domain's numbers for an environment."""
+    from menid_plan.planning import Task
+
+    task = Task(domain, problem, environment)
+    task.build()
+    policy = task.policy(task.solve(task.solver("value-iteration")))
+    found = policy.action(frozenset(problem.init) if state is None else state, problem.horizon)
+    if found is None:
+        raise click.UsageError("--best: no action is the best in that state")
+    click.echo(f"the best action in {environment}: {found}", err=True)
+    return found

@@ -63,12 +63,13 @@ def command(
     Without DOMAIN PROBLEM, on the drive that comes with the project. What was interrupted, or is
     to have more qualities or repetitions, goes on where it was.
     """
+    from menid_plan import charts
     from menid_plan.environments.hdd.extra import require
     from menid_plan.resources import folder as shipped
-    from menid_plan.studies.mesh import MeshStudy, matplotlib_parts
+    from menid_plan.studies.mesh import MeshStudy
 
     require()
-    matplotlib_parts()
+    charts.require()
     drive = shipped("domains") / "hdd"
     domain, problem = load_both(files or [str(drive / f"{n}.menid") for n in ("domain", "drive")])
     declared = tuple(action.name for action in domain.actions)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
+
+from menid_plan.charts import chart
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,3 +80,34 @@ class Curve:
         """Let go of the file."""
         with suppress(OSError):  # what could not be written was told when it was tried
             self._file.close()
+
+
+def curve_png(path: Path) -> bytes:
+    """A drawing of a `curve.csv`: the reward accumulated in the target, and the tests elsewhere.
+
+    MissingDependencyError without Matplotlib.
+    """
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    hours = [float(row["seconds"]) / 3600 for row in rows]
+    unit, scale = ("hours", 1.0) if hours and hours[-1] >= 1 else ("minutes", 60.0)
+    times = [0.0, *(scale * h for h in hours)]
+
+    def draw(figure: Any) -> None:
+        above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+        reward = [0.0, *(float(row["reward"]) for row in rows)]
+        above.step(times, reward, where="post", linewidth=1.2, color="#08306b")
+        above.set_ylabel("reward in the target")
+        for key, label, colour in (
+            ("steps", "in the target", "#08306b"), ("tests", "in the tests", "#d1490e"),
+        ):  # fmt: skip
+            number = [0, *(int(row[key]) for row in rows)]
+            below.step(times, number, where="post", linewidth=1.2, color=colour, label=label)
+        below.set_ylabel("executions")
+        below.set_xlabel(f"time of the run ({unit})")
+        below.legend(frameon=False)
+        for panel in (above, below):
+            panel.grid(visible=True, linewidth=0.4, alpha=0.5)
+            panel.margins(x=0.02)
+
+    return chart((5.2, 3.4), draw)

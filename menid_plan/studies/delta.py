@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from menid_plan.charts import chart
 from menid_plan.learning.confidence import SAMPLES, Method, delta, drawn_errors, mode, rank
 from menid_plan.learning.mixtures import Floats
-from menid_plan.solving import MissingDependencyError
 
 _POINTS = 200  # so many sizes of the sample are in the figure
 _COMPARED = 20  # and so many of them are looked at in every run
@@ -128,16 +128,8 @@ class DeltaStudy:
 
     def as_png(self, curves: list[Curve], dpi: int = 200) -> bytes:
         """The figure, of the width of a column; MissingDependencyError without Matplotlib."""
-        try:
-            from matplotlib import rc_context
-            from matplotlib.backends.backend_agg import FigureCanvasAgg
-            from matplotlib.figure import Figure
-        except ImportError as error:
-            raise MissingDependencyError(
-                "drawing the figure needs Matplotlib: pip install 'menid-plan[draw]'"
-            ) from error
-        with rc_context({"font.size": 8, "axes.titlesize": 8, "legend.fontsize": 7.5}):
-            figure = Figure(figsize=(5.2, 2.6), layout="constrained")
+
+        def draw(figure: Any) -> None:
             panels = figure.subplots(1, len(curves), sharey=True, squeeze=False)[0]
             for panel, curve in zip(panels, curves, strict=True):
                 self._draw(panel, curve)
@@ -146,11 +138,8 @@ class DeltaStudy:
             figure.legend(
                 handles, labels, loc="outside lower center", ncols=len(labels), frameon=False
             )
-            stream = io.BytesIO()
-            canvas = FigureCanvasAgg(figure)
-            # Without the version of Matplotlib in it the same seed gives the same bytes.
-            canvas.print_figure(stream, dpi=dpi, format="png", metadata={"Software": None})
-        return stream.getvalue()
+
+        return chart((5.2, 2.6), draw, dpi)
 
     def _draw(self, panel: Any, curve: Curve) -> None:
         styles = ("-", "--", "-.", ":")

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from menid_plan.charts import chart
 from menid_plan.environments.hdd import kind as scenes
 from menid_plan.environments.hdd.kind import Hdd
 from menid_plan.environments.interface import EnvironmentFailedError
@@ -33,7 +34,6 @@ from menid_plan.grounding.semantics import Semantics
 from menid_plan.grounding.state import GroundAction, State
 from menid_plan.learning.mixtures import Floats
 from menid_plan.model.domain import Domain, Problem
-from menid_plan.solving import MissingDependencyError
 
 # The qualities of the paper.
 LOWEST, HIGHEST = 0.00103, 0.01
@@ -255,10 +255,9 @@ class MeshStudy:
         }
 
     def as_png(self, curves: Sequence[Curve], dpi: int = 200) -> bytes:
-        """The figure, a column of two panels for each action; see `matplotlib_parts` for errors."""
-        rc_context, canvas_of, figure_of = matplotlib_parts()
-        with rc_context({"font.size": 8, "axes.titlesize": 8, "legend.fontsize": 7.5}):
-            figure = figure_of(figsize=(1.2 + 1.8 * len(curves), 3.8), layout="constrained")
+        """The figure, a column for each action; MissingDependencyError without Matplotlib."""
+
+        def draw(figure: Any) -> None:
             panels = figure.subplots(2, len(curves), sharex=True, sharey="row", squeeze=False)
             for above, below, curve in zip(*panels, curves, strict=True):
                 _draw(above, below, curve)
@@ -270,12 +269,8 @@ class MeshStudy:
             figure.legend(
                 handles, labels, loc="outside lower center", ncols=len(curves), frameon=False
             )
-            stream = io.BytesIO()
-            # Without the version of Matplotlib in it the same runs give the same bytes.
-            canvas_of(figure).print_figure(
-                stream, dpi=dpi, format="png", metadata={"Software": None}
-            )
-        return stream.getvalue()
+
+        return chart((1.2 + 1.8 * len(curves), 3.8), draw, dpi)
 
 
 # ------------------------------------------------------------------------------------- what is told
@@ -352,19 +347,6 @@ def _rows(curve: Curve) -> list[dict[str, Any]]:
 def _told(number: float) -> float | None:
     """A number to six digits; None for nan, which JSON has no word for."""
     return None if math.isnan(number) else float(f"{number:.6g}")
-
-
-def matplotlib_parts() -> tuple[Any, Any, Any]:
-    """What draws: rc_context, the canvas, the figure; MissingDependencyError without Matplotlib."""
-    try:
-        from matplotlib import rc_context
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingDependencyError(
-            "drawing the figure needs Matplotlib: pip install 'menid-plan[draw]'"
-        ) from error
-    return rc_context, FigureCanvasAgg, Figure
 
 
 def _draw(above: Any, below: Any, curve: Curve) -> None:

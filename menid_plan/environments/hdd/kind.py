@@ -129,7 +129,7 @@ class HddRobot(Hdd):
     """
 
     name: ClassVar[str] = "hdd-robot"
-    promise: ClassVar[str] = "the same with a Panda arm, its camera and its joints err; in PyBullet"
+    promise: ClassVar[str] = "the same with a Panda arm, whose camera and joints err; in PyBullet"
 
     noise: float = 1.0
     deviations: Deviations = _SURFACES
