@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import signal
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -29,13 +31,14 @@ from menid_plan.environments.hdd.geometry import SHAPES
 from menid_plan.environments.hdd.kind import Deviations, Hdd
 from menid_plan.environments.hdd.mesh import TriangleMesh
 from menid_plan.environments.hdd.meshes import PARTS, Source, part_mesh
-from menid_plan.environments.hdd.scene import Physics
+from menid_plan.environments.hdd.scene import BOARD_INERTIA, BOARD_MASS, Physics, Scene
 from menid_plan.environments.hdd.shake import DURATION, Shake
 from menid_plan.environments.hdd.suck import heights, hole_area
 from menid_plan.environments.hdd.symbols import Seen
 from menid_plan.environments.hdd.validity import validity
 from menid_plan.environments.interface import CannotResetError, EnvironmentFailedError
-from menid_plan.environments.registry import Place
+from menid_plan.environments.pool import Failure, Pool
+from menid_plan.environments.registry import EnvironmentSpec, Place
 from menid_plan.environments.settings import SettingError, read_settings
 from menid_plan.grounding.state import GroundAction, State
 from menid_plan.model.formulas import GroundAtom
@@ -258,6 +261,71 @@ def test_friction_decides_where_a_shaken_board_ends() -> None:
         found.execute(GroundAction("shake", ("s9",)))
         ends.append(float(np.hypot(*found.pose.position[:2])))
     assert ends[0] > 4 * ends[1]
+
+
+SCENES = [
+    ("lever", ("n8",)), ("lever", ("n5",)), ("shake", ("s10",)), ("suck", ("centre", "strong")),
+    ("suck", ("right", "strong")),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("action", [GroundAction(*scene) for scene in SCENES], ids=str)
+def test_energy_and_penetration_are_bounded(action: GroundAction) -> None:
+    energies, depths = [], []
+
+    def watch(scene: Scene) -> None:
+        (_, _, z), _, linear, angular = scene.world.motion(scene.board)
+        moves = 0.5 * BOARD_MASS * sum(v * v for v in linear) / 1e6
+        turns = 0.5 * sum(i * w * w for i, w in zip(BOARD_INERTIA, angular, strict=True)) / 1e6
+        energies.append(moves + turns + BOARD_MASS * 9.81 * z / 1000)
+        depths.append(scene.world.deepest(scene.board))
+
+    found = environment(noise=1.0)
+    found.reset(None, 2)
+    found.after_step = watch
+    found.execute(action)
+    # Lifted by 40 mm the board has a hundredth of a joule, and thrown out with gravity twice over some
+    # hundredths.
+    assert max(energies) < {"lever": 0.02, "shake": 0.06, "suck": 0.015}[action.action]
+    assert energies[-1] < 0.002
+    # In one step of time it falls by 2 mm; what sank in then is out again at rest.
+    assert max(depths) < 4.0
+    assert depths[-1] < 0.5
+
+
+def run_of(folder: Path, trouble: str, seeds: range) -> tuple[list[State], list[Failure]]:
+    """Executions in one worker, which is killed, or stopped, while it executes one of them."""
+    failures: list[Failure] = []
+    spec = EnvironmentSpec(
+        "fine", Hdd(quality=QUALITY, noise=1.0), DOMAIN, PROBLEM, timeout=20.0, folder=folder
+    )
+    with Pool([spec], 1, failed=failures.append) as pool:
+        action = GroundAction("shake", ("s5",))
+        futures = [pool.submit("fine", SEATED, action, seed, seed) for seed in seeds]
+        futures[0].result()
+        if trouble:
+            children = Path(f"/proc/{os.getpid()}/task").glob("*/children")
+            (worker,) = {
+                int(word)
+                for file in children
+                for word in file.read_text().split()
+                if "menid_plan" in Path(f"/proc/{word}/cmdline").read_text()
+            }
+            os.kill(worker, getattr(signal, trouble))
+        return [future.result().state for future in futures], failures
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux's list of processes")
+@pytest.mark.parametrize(("trouble", "kind"), [("SIGKILL", "crash"), ("SIGSTOP", "timeout")])
+def test_a_worker_that_is_killed_or_hangs_costs_one_attempt(
+    tmp_path: Path, trouble: str, kind: str
+) -> None:
+    seeds = range(4)
+    expected, none = run_of(tmp_path, "", seeds)
+    found, failures = run_of(tmp_path, trouble, seeds)
+    assert none == []
+    assert found == expected
+    assert [failure.trouble for failure in failures] == [kind]
 
 
 # --------------------------------------------------------------------------- the same to the bit
