@@ -20,18 +20,17 @@ from menid_plan.environments.hdd import extra
 from menid_plan.environments.hdd.kind import Hdd
 from menid_plan.environments.interface import Capabilities, EnvironmentFailedError, Execution
 from menid_plan.environments.registry import Place
+from menid_plan.experience.store import StoreError
 from menid_plan.grounding.state import GroundAction, State
 from menid_plan.model.formulas import GroundAtom
 from menid_plan.studies.mesh import (
     MeshStudy,
     Progress,
-    Result,
-    Run,
-    RunsFileError,
     curve_of,
     error,
     mean_error,
 )
+from menid_plan.studies.mesh_runs import Result, Run, RunsFile, RunsFileError
 
 SMALL = """\
 problem small for hdd
@@ -347,3 +346,13 @@ def test_a_small_study(
     third = menid(*command)
     assert third.exit_code == 3
     assert "mesh-runs.csv has runs of another domain or problem" in third.output
+
+
+def test_only_one_process_writes_to_a_file_of_runs(tmp_path: Path) -> None:
+    with (
+        RunsFile(tmp_path / "runs.csv", "x"),
+        pytest.raises(StoreError, match="another process writes to"),
+    ):
+        RunsFile(tmp_path / "runs.csv", "x")
+    with RunsFile(tmp_path / "runs.csv", "x") as file:
+        assert file.results == {}

@@ -15,7 +15,6 @@ from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from importlib.metadata import packages_distributions, version
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -28,12 +27,11 @@ from menid_plan.environments.interface import EnvironmentFailedError
 from menid_plan.environments.pool import ExecutionFailedError, Failure, Pool, in_order
 from menid_plan.environments.registry import EnvironmentSpec
 from menid_plan.environments.seeds import seed_of
-from menid_plan.errors import MenidError
-from menid_plan.experience.codec import action_of, atoms_column, state_of
 from menid_plan.grounding.semantics import Semantics
 from menid_plan.grounding.state import GroundAction, State
 from menid_plan.learning.mixtures import Floats
 from menid_plan.model.domain import Domain, Problem
+from menid_plan.studies.mesh_runs import Result, Run, RunsFile
 
 # The qualities of the paper.
 LOWEST, HIGHEST = 0.00103, 0.01
@@ -42,31 +40,6 @@ _SCENE = Hdd(noise=1.0)
 _HOPELESS = 10
 # Parts of the scenes that no execution of these depends on.
 _APART = {"arm", "cache", "extra", "film", "robot", "validity"}
-
-
-class RunsFileError(MenidError):
-    """A file of runs that can't be gone on with; the message says why."""
-
-    exit_code = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """An execution in the initial state; runs that differ in nothing but their quality share a seed."""
-
-    action: GroundAction
-    quality: float
-    repetition: int
-    seed: int
-
-
-@dataclass(frozen=True, slots=True)
-class Result:
-    """What came of a run: measured seconds and the atoms at its end, or in words how it failed."""
-
-    seconds: float = math.nan
-    state: State = frozenset()
-    failure: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -373,85 +346,6 @@ def _draw(above: Any, below: Any, curve: Curve) -> None:
     for panel in (above, below):
         panel.grid(visible=True, linewidth=0.4, alpha=0.5)
         panel.margins(x=0.02)
-
-
-# --------------------------------------------------------------------------------- the file of runs
-
-
-class RunsFile:
-    """The file of runs, to be appended to; ``results`` are those that it has.
-
-    The line that a kill has cut is dropped. Of a run that is there twice the later result counts.
-    RunsFileError if lines are no runs, or of another origin.
-    """
-
-    HEAD = ("action", "quality", "repetition", "seed", "seconds", "atoms", "failure", "origin")
-
-    def __init__(self, path: Path, origin: str) -> None:
-        self.results: dict[Run, Result] = {}
-        self._path, self._origin = path, origin
-        self._file = path.open("r+b" if path.exists() else "w+b")
-        try:
-            data = self._file.read()
-            whole = data[: data.rfind(b"\n") + 1]
-            self._read(whole)
-            self._file.truncate(len(whole))
-            self._file.seek(len(whole))
-            if not whole:
-                self._write(self.HEAD)
-        except BaseException:
-            self._file.close()
-            raise
-
-    def __enter__(self) -> RunsFile:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._file.close()
-
-    def add(self, run: Run, result: Result) -> None:
-        """Append a result; raises OSError."""
-        seconds = "" if result.failure else repr(result.seconds)
-        failure = " ".join(result.failure.split())  # in one line: each run has one
-        self._write(
-            (str(run.action), run.quality, run.repetition, run.seed, seconds,
-             atoms_column(result.state), failure, self._origin)
-        )  # fmt: skip
-
-    def _write(self, row: Sequence[object]) -> None:
-        text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerow(row)
-        self._file.write(text.getvalue().encode())
-        self._file.flush()
-
-    def _read(self, data: bytes) -> None:
-        for number, line in enumerate(data.splitlines(), start=1):
-            try:
-                (row,) = csv.reader([line.decode()])
-                if number == 1:
-                    if tuple(row) != self.HEAD:
-                        raise ValueError
-                    continue
-                call, quality, repetition, seed, seconds, atoms, failure, origin = row
-                run = Run(action_of(call), float(quality), int(repetition), int(seed))
-                result = Result(float(seconds or "nan"), state_of(atoms), failure)
-                if not failure and not 0 <= result.seconds < math.inf:
-                    raise ValueError
-            except (ValueError, csv.Error) as error:
-                raise RunsFileError(
-                    f"{self._path}, line {number}: it is no run of a mesh study"
-                ) from error
-            if origin != self._origin:
-                raise RunsFileError(
-                    f"{self._path} has runs of another domain or problem, or of another version of the"
-                    " scenes: choose another folder, or move the file away"
-                )
-            self.results[run] = result
 
 
 def _name(quality: float) -> str:
