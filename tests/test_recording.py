@@ -13,6 +13,7 @@ import menid_plan
 from conftest import ROOT
 from menid_plan.cli.main import main
 from menid_plan.environments import recording
+from menid_plan.environments.interface import EnvironmentFailedError
 from menid_plan.environments.pool import Failure
 from menid_plan.environments.recording import Progress, jobs, record, situations
 from menid_plan.environments.runfile import Bound, parse_run_file
@@ -134,6 +135,21 @@ def test_what_fails_each_time_is_left_out_and_tried_again_later(tmp_path: Path) 
     with open_store(tmp_path / "bank") as store:
         again = record(bound(), store, 2, workers=0)
     assert again == Progress(again.wanted, again.wanted, 0)
+
+
+def test_where_everything_fails_it_ends(tmp_path: Path) -> None:
+    def broken(self: SimulatedEnvironment, action: GroundAction) -> Any:
+        raise RuntimeError("it broke")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SimulatedEnvironment, "execute", broken)
+        with (
+            open_store(tmp_path / "bank") as store,
+            pytest.raises(
+                EnvironmentFailedError, match=r"first 10 executions all failed.*it broke"
+            ),
+        ):
+            record(bound(0), store, 2, workers=0)
 
 
 def test_problems_with_too_many_states_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 
+from menid_plan.environments.interface import EnvironmentFailedError
 from menid_plan.environments.pool import ExecutionFailedError, ExecutionFuture, Failure, Pool
 from menid_plan.environments.runfile import Bound
 from menid_plan.environments.seeds import seed_of
@@ -20,6 +21,8 @@ from menid_plan.grounding.state import SINK, GroundAction, State, state_text
 
 # Banks are for problems whose states can be counted on fingers.
 MAX_STATES = 1000
+# So many executions that fail, and none that does not: something is wrong with all of them.
+HOPELESS = 10
 # Seconds after which what was seen is written down.
 _KEPT_AFTER = 1.0
 
@@ -102,6 +105,7 @@ def record(
     """Record what is missing in the store; executions that fail each time are left out.
 
     What is recorded depends on the seed alone, not on the workers, nor on where it was interrupted.
+    EnvironmentFailedError if nothing but failures comes.
     """
     target = bound.target.name
     wanted = list(jobs(bound, executions, seed))
@@ -110,6 +114,7 @@ def record(
     attributor = Attributor(bound.domain, bound.problem)
     specs = {spec.name: spec for spec in bound.environments}
     recorded, lost = len(wanted) - len(missing), 0
+    before = recorded
     kept: list[Experience] = []
     last = time.monotonic()
     with Pool(specs.values(), workers, failed=failed) as pool:
@@ -117,8 +122,12 @@ def record(
             for job, future in _ahead(pool, missing):
                 try:
                     execution = future.result()
-                except ExecutionFailedError:
+                except ExecutionFailedError as error:
                     lost += 1
+                    if lost == min(HOPELESS, len(missing)) and recorded == before:
+                        raise EnvironmentFailedError(
+                            f"the first {lost} executions all failed; last: {error}"
+                        ) from error
                 else:
                     recorded += 1
                     assert execution.duration is not None  # sessions see to that

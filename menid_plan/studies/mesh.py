@@ -25,6 +25,7 @@ from menid_plan.environments.hdd import kind as scenes
 from menid_plan.environments.hdd.kind import Hdd
 from menid_plan.environments.interface import EnvironmentFailedError
 from menid_plan.environments.pool import ExecutionFailedError, Failure, Pool, in_order
+from menid_plan.environments.recording import HOPELESS
 from menid_plan.environments.registry import EnvironmentSpec
 from menid_plan.environments.seeds import seed_of
 from menid_plan.grounding.semantics import Semantics
@@ -36,8 +37,6 @@ from menid_plan.studies.mesh_runs import Result, Run, RunsFile
 # The qualities of the paper.
 LOWEST, HIGHEST = 0.00103, 0.01
 _SCENE = Hdd(noise=1.0)
-# So many executions that fail, and none that does not: something is wrong with all of them.
-_HOPELESS = 10
 # Parts of the scenes that no execution of these depends on.
 _APART = {"arm", "cache", "extra", "film", "robot", "validity"}
 
@@ -146,7 +145,7 @@ class MeshStudy:
                         assert execution.duration is not None  # sessions see to that
                         found[run] = Result(execution.duration, execution.state)
                     file.add(run, found[run])
-                    if lost == len(found) == min(_HOPELESS, len(wanted)):
+                    if lost == len(found) == min(HOPELESS, len(wanted)):
                         raise EnvironmentFailedError(
                             f"the first {lost} executions all failed; last: {found[run].failure}"
                         )

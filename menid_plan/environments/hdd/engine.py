@@ -352,6 +352,16 @@ class World:
         body: int = self._p.createMultiBody(0, -1, visual, physicsClientId=self._id)
         return body
 
+    def seen(self, mesh: TriangleMesh, colour: Sequence[float]) -> int:
+        """A mesh that is seen where its vertices are, and touches nothing."""
+        visual = self._visual(mesh, colour)
+        body: int = self._p.createMultiBody(0, -1, visual, physicsClientId=self._id)
+        return body
+
+    def remove(self, body: int) -> None:
+        """Take a body out of the world."""
+        self._p.removeBody(body, physicsClientId=self._id)
+
     def arm(self) -> int:
         """A Panda arm that is seen, and touches nothing."""
         data = importlib.import_module("pybullet_data")

@@ -13,9 +13,10 @@ from menid_plan.environments.hdd.hand import STEADY, Hand
 from menid_plan.environments.hdd.kind import Deviations, Hdd
 from menid_plan.environments.hdd.lever import Lever, lever
 from menid_plan.environments.hdd.meshes import Source, part_mesh
-from menid_plan.environments.hdd.scene import TABLE, Physics, Scene, level, turned
+from menid_plan.environments.hdd.scene import TABLE, BrokenDownError, Physics, Scene, level, turned
 from menid_plan.environments.hdd.shake import FREQUENCY, Shake, shake
-from menid_plan.environments.hdd.suck import Suck, suck
+from menid_plan.environments.hdd.soft_cup import SoftGrip
+from menid_plan.environments.hdd.suck import Suck, gripped, suck
 from menid_plan.environments.hdd.symbols import PREDICATES, Seen
 from menid_plan.environments.interface import (
     CannotResetError,
@@ -108,22 +109,25 @@ class HddEnvironment:
             raise EnvironmentFailedError("it was not reset")
         errors = self._errors()
         run = self._prepared(action, self.numbers(action), errors)
-        depth = 0.0
+        fault = ""
         for finer in FINER:
             with self._scene(self.pose, errors, finer) as scene:
                 if self.drawn or self.window:
                     self._furnish(scene, action)
                 scene.rest()
                 scene.began = scene.world.time
-                run(scene)
+                try:
+                    run(scene)
+                except BrokenDownError as error:
+                    fault = str(error)
+                    continue
                 depth = scene.world.deepest(scene.board)
                 if np.isfinite(scene.pose.position).all() and depth <= DEEPEST:
                     self.pose = scene.pose
                     self.force = max(self.force, scene.peak_force)
                     return Execution(self.state())
-        raise EnvironmentFailedError(
-            f"`{action}`: the computation broke down: the board is {depth:.1f} mm inside another body"
-        )
+                fault = f"the board is {depth:.1f} mm inside another body"
+        raise EnvironmentFailedError(f"`{action}`: the computation broke down: {fault}")
 
     def numbers(self, action: GroundAction) -> Mapping[str, float]:
         """The attributes of an action's objects."""
@@ -151,7 +155,7 @@ class HddEnvironment:
     ) -> Callable[[Scene], None]:
         """What carries an action out in a scene; EnvironmentFailedError if nobody can."""
         tool = tool_of(action.action, numbers, errors, self._kind.force)
-        return lambda scene: carry_out(scene, tool, STEADY)
+        return lambda scene: carry_out(scene, tool, STEADY, self._kind.cup)
 
     def _furnish(self, scene: Scene, action: GroundAction) -> None:
         """Add to a scene what is only to be seen."""
@@ -224,14 +228,14 @@ def tool_of(
     )  # fmt: skip
 
 
-def carry_out(scene: Scene, tool: Lever | Shake | Suck, hand: Hand) -> None:
-    """Carry an action out in a scene."""
+def carry_out(scene: Scene, tool: Lever | Shake | Suck, hand: Hand, cup: str) -> None:
+    """Carry an action out in a scene; ``cup`` is the setting."""
     if isinstance(tool, Lever):
         lever(scene, tool, hand)
     elif isinstance(tool, Shake):
         shake(scene, tool, hand)
     else:
-        suck(scene, tool, hand)
+        suck(scene, tool, hand, SoftGrip if cup == "soft" else gripped)
 
 
 def _arguments(domain: Domain, problem: Problem) -> dict[str, dict[str, float]]:

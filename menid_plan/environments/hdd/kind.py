@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from menid_plan.environments.hdd.extra import require
 from menid_plan.environments.registry import Place
@@ -68,6 +68,7 @@ class Hdd:
     all ``deviations`` of trajectories and surfaces; 0: none. ``board`` and ``bay`` are scans of your
     own (STL, OBJ, PLY; in mm) instead of the designed parts. ``friction`` and ``restitution`` are those
     between board and bay, ``gravity`` is in m/s^2, ``force`` in N what the hand with the lever can do.
+    ``cup``: "seal" is a model of how its lip seals, "soft" a cup of rubber in finite elements.
     ``step`` (s), ``iterations``, ``threshold`` and ``margin`` (mm) are PyBullet's.
     """
 
@@ -86,6 +87,7 @@ class Hdd:
     restitution: float = 0.1
     gravity: float = 9.81
     force: float = 30.0
+    cup: Literal["seal", "soft"] = "seal"
     step: float = 0.002
     iterations: int = 30
     threshold: float = 0.1

@@ -46,7 +46,7 @@ class RobotEnvironment(HddEnvironment):
         kind = self._robot
         hand = self._motion(action).hand(kind.noise * kind.jerk, self._rng)
         tool = tool_of(action.action, numbers, {**errors, **self._seen_at(numbers)}, kind.force)
-        return lambda scene: carry_out(scene, tool, hand)
+        return lambda scene: carry_out(scene, tool, hand, kind.cup)
 
     def _motion(self, action: GroundAction) -> Motion:
         """How the arm carries an action out, whatever errs then; EnvironmentFailedError if it can't."""

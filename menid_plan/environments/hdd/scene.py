@@ -19,6 +19,7 @@ from menid_plan.environments.hdd.engine import (
     World,
 )
 from menid_plan.environments.hdd.mesh import TriangleMesh
+from menid_plan.environments.interface import EnvironmentFailedError
 
 BOARD_MASS = 0.025  # kg
 BOARD_INERTIA = (7.8, 21.0, 28.5)  # kg mm^2, of a plate of that mass with its parts
@@ -56,6 +57,10 @@ def eased(share: Vector) -> Vector:
     """From 0 to 1, at rest at both ends."""
     share = np.clip(share, 0.0, 1.0)
     return share * share * (3 - 2 * share)
+
+
+class BrokenDownError(EnvironmentFailedError):
+    """A computation gives nothing of use; shorter steps of time may help."""
 
 
 class Scene:

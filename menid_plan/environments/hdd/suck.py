@@ -7,7 +7,9 @@ the mesh itself, with its holes and its parts, not the hulls that the board has 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -98,6 +100,21 @@ def hole_area(mesh: TriangleMesh, middle: Points) -> float:
     return total
 
 
+class Cup(Protocol):
+    """What meets the board, and is led by the hand."""
+
+    def forces(self, now: Points, found: Points) -> bool:
+        """Write the force (N) and torque (N mm) on the board, (6,); whether the lip still holds it.
+
+        ``now`` (19,): the board's position (mm), quaternion, velocity (mm/s) and turning (rad/s), how
+        far the cup has moved aside (x, y), how high its lip would be over the highest point that it
+        met, and its velocity.
+        """
+
+    def show(self, scene: Scene, hand: Sequence[float]) -> None:
+        """Show the cup in a scene that is drawn; ``hand``: how far it has moved, as in `forces`."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Grip:
     """Where the lip met the board when the cup came down, and what it is made of.
@@ -106,23 +123,23 @@ class Grip:
     surface, in the board's frame, in mm, and 1 if it met any. ``numbers``, (7,): the cup's middle on
     the surface, in the board's frame; the height of the highest point that it touches; the area of the
     holes under it in mm^2; the suction in N with a perfect seal; the damping of a point in N s/mm.
+    ``seen``: what stands for the cup in pictures.
     """
 
     lip: Points
     numbers: Points
-
-    @property
-    def top(self) -> float:
-        """The height of the highest point that the lip touches, in mm."""
-        return float(self.numbers[3])
+    seen: int | None
 
     def forces(self, now: Points, found: Points) -> bool:
-        """Write the force (N) and torque (N mm) on the board, (6,); whether the lip still holds it.
-
-        ``now`` (19,): the board's position (mm), quaternion, velocity (mm/s) and turning (rad/s), how
-        far the cup has moved aside (x, y) and how high it is over ``top``, and its velocity.
-        """
+        """As `Cup.forces`."""
         return bool(_press(self.lip, self.numbers, now, found))
+
+    def show(self, scene: Scene, hand: Sequence[float]) -> None:
+        """As `Cup.show`."""
+        if self.seen is not None:
+            x, y = self.lip[:, :2].mean(axis=0)
+            z = self.numbers[3] + CUP / 2
+            scene.world.place(self.seen, level(x + hand[0], y + hand[1], z + hand[2]))
 
 
 @kernel("b1(f8[:,::1], f8[::1], f8[::1], f8[::1])")
@@ -209,14 +226,20 @@ def gripped(scene: Scene, action: Suck) -> Grip:
     return Grip(
         np.column_stack([rest, anchors, touching]),
         np.array([*middle, top, holes, suction, damping]),
+        scene.world.ghost(RADIUS, CUP, BLACK) if scene.world.drawn else None,
     )
 
 
-def suck(scene: Scene, action: Suck, hand: Hand = STEADY) -> None:
-    """Carry the action out in a scene."""
+def suck(
+    scene: Scene,
+    action: Suck,
+    hand: Hand = STEADY,
+    cup: Callable[[Scene, Suck], Cup] = gripped,
+) -> None:
+    """Carry the action out in a scene, with the model of a seal or another cup."""
     world = scene.world
-    grip = gripped(scene, action)
-    cup = world.ghost(RADIUS, CUP, BLACK) if world.drawn else None
+    usual = world.dt
+    grip = cup(scene, action)  # which may ask for shorter steps
     step = world.dt
 
     times: Points = step * np.arange(round(action.duration * hand.stretch / step) + 1.0)
@@ -230,10 +253,10 @@ def suck(scene: Scene, action: Suck, hand: Hand = STEADY) -> None:
             break
         force = found.tolist()
         world.push(scene.board, at, force[:3], force[3:])
-        if cup is not None:
-            x, y, z = now
-            world.place(cup, level(action.x + x, action.y + y, grip.top + CUP / 2 + z))
+        if world.drawn:
+            grip.show(scene, now)
         scene.step()
+    world.set_step(usual)
     scene.rest()
 
 
