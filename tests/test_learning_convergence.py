@@ -1,9 +1,10 @@
 """On every shipped domain, the policy that was learned is as good as the best one.
 
 What a run learns depends on what it tries, and Thompson sampling comes back late to an action that
-failed when it was first tried (in the rescue one of four seeds has not after 2000 steps). So two
-things are asked: whether enough data give the best policy, by any estimator that is right in the end
-and for several seeds, and whether runs collect the data, for two.
+failed when it was first tried (in the rescue one of four seeds has not after 2000 steps; on the bench,
+where the best of five good actions frees 97 boards of 100 and the others 95, one of six has not after
+1500). So two things are asked: whether enough data give the best policy, by any estimator that is
+right in the end and for several seeds, and whether runs collect the data, for two.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ STEPS = {
     "blocks/turn-over": 300,
     "exploding-blocks/unstack": 100,
     "greenhouse/two-pots": 120,
-    "hdd/bench": 300,
+    "hdd/bench": 1500,
     "maintenance/workshop": 300,
     "rescue/corridor": 2000,
     "slippery-grid/pond": 1500,
@@ -99,10 +100,11 @@ def test_runs_come_to_the_best_policy(tmp_path: Path, name: str, seed: int) -> N
 
 
 @pytest.mark.parametrize("name", ["greenhouse/two-pots", "tireworld/triangle-1", "hdd/bench"])
-def test_the_baseline_needs_no_tests(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_baseline_needs_no_tests(tmp_path: Path, name: str, seed: int) -> None:
     domain, problem = read(name)
     run = run_of(
-        tmp_path / "run", environments(domain, problem), solver="thompson", seed=2,
+        tmp_path / "run", environments(domain, problem), solver="thompson", seed=seed,
         estimator="empirical", test_time=0.0, steps=STEPS[name],
     )  # fmt: skip
     run.learn()

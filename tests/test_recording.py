@@ -40,7 +40,7 @@ duration = 2
 kind = "simulated"
 duration = 0.5
 """
-ACTIONS = 5 + 1 + 2  # lever, shake, suck in `bench`
+ACTIONS = 11 + 2 + 8 * 2  # lever, shake, suck in `bench`
 STATES = 2  # seated and loose: in the third, the goal, nothing is done
 
 
