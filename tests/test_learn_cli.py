@@ -35,6 +35,12 @@ steps = 12
 seed = 3
 """
 
+# What is told of one rule.
+LEARNED = (
+    r"  (pull\.dry for \w+|finish\.ready): (\w+ [\d.]+,? )+"
+    r"\(seen: bench (?P<bench>\d+), model \d+\)"
+)
+
 PROGRAM = """\
 import json, sys
 mode = sys.argv[1]
@@ -87,8 +93,14 @@ def test_what_it_prints_and_writes(levers: Menid) -> None:
     )
     assert lines[1] == "  bench (target): 12 executions, 0:04:00"
     assert re.fullmatch(r"  model \(test\): \d+ executions, 0:00:\d\d", lines[2])
-    assert lines[3].startswith("best first action by what was learned: pull(")
-    assert lines[4:] == ["wrote out/learned.menid"]
+    assert lines[3] == "learned of what was executed in bench:"
+    learned = [re.fullmatch(LEARNED, line) for line in lines[4:-2]]
+    seen = [int(match["bench"]) for match in learned if match]
+    assert 0 < len(seen) == len(learned)
+    assert sum(seen) == 12
+    assert seen == sorted(seen, reverse=True)
+    assert lines[-2].startswith("best first action by what was learned: pull(")
+    assert lines[-1] == "wrote out/learned.menid"
     assert sorted(path.name for path in Path("out").iterdir()) == [
         "curve.csv", "events.jsonl", "experiences.sqlite", "experiences.sqlite.lock",
         "learned.menid", "settings.json",

@@ -26,8 +26,12 @@ from menid_plan.interrupts import Interrupts
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from menid_plan.learning.counts import Evidence
     from menid_plan.learning.curve import Point
     from menid_plan.learning.run import Run
+
+# Rules of which it is told what was learned.
+_SHOWN = 10
 
 
 @click.command("learn")
@@ -178,6 +182,7 @@ def _show(result: dict[str, Any], run: Run) -> None:
         )
     if result["unexplained"]:
         click.echo(f"  {_counted(result['unexplained'], 'execution')} that no rule explains")
+    _show_learned(run.evidence)
     goal = ""
     # The reward of what reaches the goal as often as can be says little where that is not for sure.
     if result["objective"] == "goal-then-reward" and result["goal_probability"] is not None:
@@ -187,6 +192,24 @@ def _show(result: dict[str, Any], run: Run) -> None:
         f"{result['objective']} {result['value']:.6g}{goal}"
     )
     click.echo(f"wrote {run.folder / 'learned.menid'}")
+
+
+def _show_learned(evidence: Evidence) -> None:
+    """What was learned of the rules that were executed in the target, the most executed first."""
+    tried = [key for key in evidence.keys if evidence.counts(key)[0].any()]
+    tried.sort(key=lambda key: -evidence.counts(key)[0].sum())
+    if tried:
+        click.echo(f"learned of what was executed in {evidence.environments[0]}:")
+    for key in tried[:_SHOWN]:
+        names = [outcome.name for outcome in evidence.rule(key).outcomes]
+        estimate = zip(names, evidence.answer(key).tolist(), strict=True)
+        counts = zip(evidence.environments, evidence.counts(key).sum(axis=1).tolist(), strict=True)
+        click.echo(
+            f"  {key}: {', '.join(f'{name} {round(p, 3):g}' for name, p in estimate)} "
+            f"(seen: {', '.join(f'{name} {n:.6g}' for name, n in counts)})"
+        )
+    if len(tried) > _SHOWN:
+        click.echo(f"  and of {len(tried) - _SHOWN} more: `menid estimate` shows all")
 
 
 def _counted(number: int, noun: str) -> str:
