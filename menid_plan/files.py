@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 import tempfile
@@ -21,7 +22,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     permissions, an old one keeps its own; a link stays a link. OSError names ``path``, or the file
     with which something was wrong in the block.
     """
-    target = path.resolve()
+    target = resolved(path)
     special = target.exists() and not target.is_file()
     mode = stat.S_IMODE(target.stat().st_mode) if target.is_file() else 0o666 & ~_umask()
     try:
@@ -46,6 +47,14 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         if named != target and not named.name.startswith(_TEMPORARY):
             raise
         raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+def resolved(path: Path) -> Path:
+    """Where a path leads to in the end; OSError for links that lead to each other."""
+    try:
+        return path.resolve()
+    except RuntimeError as error:
+        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path)) from error
 
 
 def replace_file(path: Path, data: bytes) -> None:

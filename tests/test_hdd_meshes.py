@@ -259,7 +259,7 @@ def test_scans_that_cannot_be_used_are_refused_with_the_file_and_the_mend(tmp_pa
     refused("mesh.3ds", b"x", "must be one of stl, obj, ply")
     refused("missing.stl", None, "No such file")
     (tmp_path / "folder.stl").mkdir()
-    refused("folder.stl", None, "directory")
+    refused("folder.stl", None, "it is no file")
     refused(
         "nan.obj",
         b"v 0 0 0\nv 1 0 nan\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n",

@@ -413,6 +413,23 @@ def test_what_problem_or_domain_lack_is_named() -> None:
     objects = tuple(replace(o, attributes=()) if o.name == "s3" else o for o in PROBLEM.objects)
     with pytest.raises(SettingError, match=r"`s3`.*lacks the attribute `degrees`"):
         Hdd().build(replace(PLACE, problem=replace(PROBLEM, objects=objects)))
+    for name, attributes, message in (
+        ("centre", (("x", 5000.0), ("y", 0.0)), r"`x` of the object `centre`.* is 5000; it must"),
+        ("strong", (("pascal", 1135.0),), r"`pascal`.* is 1135; .* between -101325 and 0"),
+        ("s10", (("degrees", 1e300),), r"`degrees` .* between 0 and 45"),
+    ):
+        objects = tuple(
+            replace(o, attributes=attributes) if o.name == name else o for o in PROBLEM.objects
+        )
+        with pytest.raises(SettingError, match=message):
+            Hdd().build(replace(PLACE, problem=replace(PROBLEM, objects=objects)))
+    unseen = tuple(p for p in PLACE.domain.predicates if p.name not in ("in", "on-table"))
+    with pytest.raises(SettingError, match=r"neither `in\(pcb, bay\)` nor"):
+        Hdd().build(replace(PLACE, domain=replace(PLACE.domain, predicates=unseen)))
+    for scan in ("nofile.stl", ".", "a\0b.stl", "board.xyz"):
+        with pytest.raises(SettingError) as found:
+            Hdd(board=scan).build(PLACE)
+        assert found.value.key == "board"
     greenhouse = menid_plan.read(ROOT / "domains" / "greenhouse" / "two-pots.menid")
     assert greenhouse.domain is not None
     assert greenhouse.problem is not None
@@ -430,6 +447,8 @@ def test_what_problem_or_domain_lack_is_named() -> None:
         ({"deviations": {"above": -0.1}}, "above: expected at least 0"),
         ({"deviations": {"abvoe": 0.1}}, "did you mean `above`"),
         ({"step": 0}, "step: expected at least"),
+        ({"gravity": 1e300}, "gravity: expected at most 1000"),
+        ({"deviations": {"friction": 1e6}}, "friction: expected at most 1000"),
         ({"iterations": 0}, "iterations: expected at least 1"),
     ],
 )
@@ -518,7 +537,7 @@ def test_in_the_pictures_the_board_moves_and_colours_tell_it_from_the_rest() -> 
     [
         (["lever(n8)"], 2, "-o"),
         (["lever(n8)", "-o", "x.jpg"], 2, "must be .gif, .mp4 or .png"),
-        (["lever(n8)", "-o", "nowhere/x.gif"], 2, "there is no folder nowhere"),
+        (["lever(n8)", "-o", "nowhere/x.gif"], 2, "there is no folder `nowhere`"),
         (["lever(n99)", "-o", "x.gif"], 3, "n99"),
         (["lever(n8)", "-o", "x.gif", "--env", "coarse"], 5, "has nothing to be seen"),
         (["lever(n8)", "-o", "x.gif", "--env", "robot"], 2, "no environment `robot`"),
@@ -530,6 +549,34 @@ def test_what_cannot_be_filmed_is_told(
     found = render(tmp_path, *arguments)
     assert found.exit_code == code, found.output
     assert message in found.output
+
+
+def test_what_is_read_is_not_written_over(tmp_path: Path) -> None:
+    problem = tmp_path / "problem.png"
+    problem.write_bytes(Path(DRIVE[1]).read_bytes())
+    (tmp_path / "run.gif").write_text(RUN)
+    for arguments in (
+        [
+            DRIVE[0],
+            str(problem),
+            "lever(n8)",
+            "--run",
+            str(tmp_path / "run.gif"),
+            "-o",
+            str(problem),
+        ],
+        [*DRIVE, "lever(n8)", "--run", str(tmp_path / "run.gif"), "-o", str(tmp_path / "run.gif")],
+    ):
+        found = CliRunner().invoke(main, ["render", *arguments])
+        assert found.exit_code == 2
+        assert "is an input" in found.output
+
+
+def test_an_action_that_does_not_apply_is_told(tmp_path: Path) -> None:
+    out = str(tmp_path / "x.png")
+    found = render(tmp_path, "lever(n8)", "--state", "on-table(board)", "-o", out)
+    assert found.exit_code == 0, found.output
+    assert "`lever(n8)` does not apply in that state" in found.stderr
 
 
 def test_the_best_action_is_filmed(tmp_path: Path) -> None:

@@ -151,6 +151,15 @@ def test_options_come_before_the_run_file(
         assert settings["steps"] is None  # one limit on the line stands for all in the file
 
 
+def test_the_curve_is_a_png_and_takes_no_file_of_the_run(levers: Menid) -> None:
+    learn(levers, "--steps", "1")
+    for name in ("out/experiences.sqlite", "curve.pdf"):
+        result = learn(levers, "--steps", "2", "--resume", "--curve", name)
+        assert result.exit_code == 2
+        assert "the file's ending must be .png" in result.stderr
+    assert steps() == 1
+
+
 def test_the_curve_is_drawn(levers: Menid) -> None:
     pytest.importorskip("matplotlib", reason="the extra `draw` is not installed")
     result = learn(levers, "--curve", "curve.png")

@@ -13,14 +13,14 @@ import menid_plan
 from conftest import ROOT
 from menid_plan.cli.main import main
 from menid_plan.environments import recording
-from menid_plan.environments.interface import EnvironmentFailedError
+from menid_plan.environments.interface import CannotResetError, EnvironmentFailedError
 from menid_plan.environments.pool import Failure
 from menid_plan.environments.recording import Progress, jobs, record, situations
 from menid_plan.environments.runfile import Bound, parse_run_file
 from menid_plan.environments.simulated import SimulatedEnvironment
 from menid_plan.errors import LimitError
-from menid_plan.experience.store import Store
-from menid_plan.grounding.state import GroundAction
+from menid_plan.experience.store import Store, StoreInputError
+from menid_plan.grounding.state import GroundAction, State
 
 DOCUMENT = menid_plan.read(ROOT / "domains" / "hdd" / "bench.menid")
 assert DOCUMENT.domain is not None
@@ -194,3 +194,85 @@ def test_another_seed_or_a_missing_folder_is_refused(tmp_path: Path) -> None:
     nowhere = call(tmp_path, "--executions", "1", "-o", str(tmp_path / "no" / "bank"))
     assert nowhere.exit_code == 2
     assert "there is no folder" in nowhere.output
+
+
+def test_a_store_of_something_else_is_left_alone(tmp_path: Path) -> None:
+    bench = str(ROOT / "domains" / "hdd" / "bench.menid")
+    (tmp_path / "run.toml").write_text(RUN)
+    learned = CliRunner().invoke(
+        main,
+        ["learn", bench, "--run", str(tmp_path / "run.toml"), "--steps", "5",
+         "-o", str(tmp_path / "learned")],
+    )  # fmt: skip
+    assert learned.exit_code == 0, learned.output
+    store = tmp_path / "learned" / "experiences.sqlite"
+    before = contents(store)
+    found = call(tmp_path, "--executions", "1", "-o", str(store))
+    assert found.exit_code == 3
+    assert "is the store of a learning run" in found.output
+    assert contents(store) == before
+
+
+def test_other_settings_of_an_environment_are_named(tmp_path: Path) -> None:
+    bank = tmp_path / "bank.sqlite"
+    assert call(tmp_path, "--executions", "1", "-o", str(bank)).exit_code == 0
+    before = contents(bank)
+    (tmp_path / "run.toml").write_text(RUN.replace("duration = 0.5", "duration = 0.25"))
+    bench = str(ROOT / "domains" / "hdd" / "bench.menid")
+    found = CliRunner().invoke(
+        main,
+        ["hdd", "record", bench, "--run", str(tmp_path / "run.toml"), "--executions", "2",
+         "-o", str(bank)],
+    )  # fmt: skip
+    assert found.exit_code == 3
+    assert "was recorded with coarse.duration = 0.5, and this one has 0.25" in found.output
+    assert contents(bank) == before
+
+
+def test_an_execution_that_is_not_the_recordings_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "bank.sqlite"
+    with open_store(path) as store:
+        record(bound(), store, 1, 1, workers=0)
+        with pytest.raises(StoreInputError, match="has another execution 0 of"):
+            record(bound(), store, 1, 0, workers=0)
+
+
+def test_a_state_that_can_not_be_had_is_left_out_and_told_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seated = frozenset(PROBLEM.init)
+    reset = SimulatedEnvironment.reset
+
+    def only_seated(self: SimulatedEnvironment, state: State | None, seed: int) -> State:
+        if state not in (None, seated):
+            raise CannotResetError("it does not stay like that")
+        return reset(self, state, seed)
+
+    monkeypatch.setattr(SimulatedEnvironment, "reset", only_seated)
+    told: list[str] = []
+    with open_store(tmp_path / "bank.sqlite") as store:
+        found = record(bound(), store, 2, workers=0, left_out=told.append)
+    assert (found.recorded, found.failed) == (2 * 2 * ACTIONS, 2 * 2 * ACTIONS)
+    assert len(told) == 2  # in each of the two environments
+    assert "loose(board)` in `fine`: " in told[0]
+    assert told[0].endswith("it does not stay like that")
+
+
+def test_more_than_can_ever_be_executed_is_refused(tmp_path: Path) -> None:
+    found = call(tmp_path, "--executions", "1000000000", "-o", str(tmp_path / "bank.sqlite"))
+    assert found.exit_code == 6
+    assert "executions to be recorded; at most 5000000 are" in found.output
+
+
+def test_the_shipped_bank_is_that_of_the_shipped_domain(tmp_path: Path) -> None:
+    """So that a user can go on with it."""
+    folder = ROOT / "domains" / "hdd"
+    bank = tmp_path / "bank.sqlite"
+    bank.write_bytes((folder / "bank.sqlite").read_bytes())
+    found = CliRunner().invoke(
+        main,
+        ["hdd", "record", str(folder / "domain.menid"), str(folder / "drive.menid"), "--run",
+         str(folder / "robot.toml"), "--executions", "12", "-o", str(bank)],
+    )  # fmt: skip
+    assert found.exit_code == 0, found.output
+    assert found.stdout == f"{bank}: 4104 executions\n"

@@ -20,6 +20,7 @@ from menid_plan.environments.hdd import extra
 from menid_plan.environments.hdd.kind import Hdd
 from menid_plan.environments.interface import Capabilities, EnvironmentFailedError, Execution
 from menid_plan.environments.registry import Place
+from menid_plan.errors import LimitError
 from menid_plan.experience.store import StoreError
 from menid_plan.grounding.state import GroundAction, State
 from menid_plan.model.formulas import GroundAtom
@@ -243,6 +244,18 @@ def test_files_that_are_refused(study: MeshStudy, tmp_path: Path) -> None:
         with pytest.raises(RunsFileError, match=r"runs.csv, line \d+: it is no run"):
             study.run(path, 0)
         assert path.read_bytes() == wrong
+    for wrong in (data.replace(b"\n", b"\r"), b"my notes, no newline"):
+        path.write_bytes(wrong)
+        with pytest.raises(RunsFileError, match=r"runs.csv, line 1: it is no run"):
+            study.run(path, 0)
+        assert path.read_bytes() == wrong
+    path.write_bytes(data.replace(b"on-table", b"elsewhere"))
+    with pytest.raises(RunsFileError, match="has the atom `elsewhere"):
+        study.run(path, 0)
+    path.write_bytes(data[:5])  # a head that a kill has cut
+    study.run(path, 0)
+    with pytest.raises(LimitError, match="executions; at most 1000000 are made"):
+        replace(study, repetitions=10**9).run(path, 0)
 
 
 def test_the_figure_is_drawn_whatever_is_missing(study: MeshStudy, tmp_path: Path) -> None:
@@ -278,6 +291,11 @@ def test_usage(menid: Callable[..., CliResult], tmp_path: Path) -> None:
         result = menid("study", "mesh", *arguments)
         assert result.exit_code == 2, result.output
         assert message in result.output
+    (tmp_path / "mesh.csv").write_bytes((ROOT / "domains/hdd/bench.menid").read_bytes())
+    domain = str(ROOT / "domains/hdd/domain.menid")
+    result = menid("study", "mesh", domain, "mesh.csv", "-o", ".")
+    assert result.exit_code == 2
+    assert "`mesh.csv` is an input" in result.output
     (tmp_path / "small.menid").write_text(SMALL)
     files = [str(ROOT / "domains/hdd/domain.menid"), "small.menid"]
     result = menid("study", "mesh", *files, "-o", "x")

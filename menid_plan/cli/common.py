@@ -14,6 +14,7 @@ import click
 
 from menid_plan.errors import InputError
 from menid_plan.files import replace_file as replace_file
+from menid_plan.files import resolved
 from menid_plan.language.check import CheckResult
 from menid_plan.language.files import check_files
 from menid_plan.model.domain import Domain, Problem
@@ -67,11 +68,11 @@ def setting_option(function: _Command) -> _Command:
 
 def distinct_outputs(inputs: Iterable[str], *outputs: Path | None) -> None:
     """Refuse to write over what is read, or twice to one file, or where there is no folder."""
-    taken = {Path(name).resolve(): f"`{name}` is an input" for name in inputs if name != "-"}
+    taken = {resolved(Path(name)): f"`{name}` is an input" for name in inputs if name != "-"}
     for output in outputs:
         if output is None:
             continue
-        place = output.resolve()
+        place = resolved(output)
         if place in taken:
             raise click.UsageError(f"cannot write `{output}`: {taken[place]}")
         if not place.parent.is_dir():

@@ -39,7 +39,7 @@ def command(files: tuple[str, ...], run_file: str, executions: int, path: Path, 
     The kind `recorded` replays what was recorded. A recording that was interrupted, or that is to have
     more executions, goes on where it was.
     """
-    from menid_plan.environments.recording import record
+    from menid_plan.environments.recording import must_go_on_with, record
     from menid_plan.environments.runfile import read_run_file
     from menid_plan.experience.store import Store
 
@@ -57,15 +57,17 @@ def command(files: tuple[str, ...], run_file: str, executions: int, path: Path, 
         path,
         bound.domain,
         bound.problem,
-        settings={"executions": executions},
+        settings={"executions": executions, "environments": bound.described()},
         seed=seed,
         resume=True,
     ) as store:
+        must_go_on_with(store, bound)
         if store.seed != seed:
             raise click.UsageError(f"{path} was recorded with --seed {store.seed}: go on with it")
         found = record(
             bound, store, executions, seed, run.workers.number, told,
             lambda failure: click.echo(str(failure), err=True),
+            lambda message: click.echo(f"menid: {message}", err=True),
         )  # fmt: skip
     left = f"; {found.failed} failed each time and are left out" if found.failed else ""
     click.echo(f"{path}: {found.recorded} executions{left}")

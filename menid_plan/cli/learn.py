@@ -88,6 +88,8 @@ def command(
         from menid_plan import charts
 
         distinct_outputs([*files, run_file], curve)
+        if curve.suffix.lower() != ".png":
+            raise click.UsageError(f"--curve: {curve}: the file's ending must be .png")
         charts.require()
     from menid_plan.environments.printing import prints_to_stderr
     from menid_plan.environments.runfile import RunFileError, read_run_file

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 import click
 
-from menid_plan.cli.common import load_both
+from menid_plan.cli.common import distinct_outputs, load_both
 from menid_plan.files import replace_file
+from menid_plan.grounding.semantics import Semantics
 from menid_plan.grounding.state import GroundAction, State, state_text
 from menid_plan.language.ground import read_action, read_state
 from menid_plan.model.domain import Domain, Problem
+
+if TYPE_CHECKING:
+    from menid_plan.environments.hdd.environment import HddEnvironment
 
 
 @click.command("render")
@@ -59,14 +64,13 @@ def command(
         raise click.UsageError("say where to write it (-o), or --gui to look at it")
     if output is not None and kind not in ("gif", "mp4", "png"):
         raise click.UsageError(f"{output}: the file's ending must be .gif, .mp4 or .png")
-    if output is not None and not output.parent.is_dir():
-        raise click.UsageError(f"{output}: there is no folder {output.parent}")
     files = given if best else given[:-1]
     if not files:
         raise click.UsageError("give DOMAIN, PROBLEM and ACTION, or --best in place of an action")
     for file in files:
         if file != "-" and not Path(file).is_file():
             raise click.UsageError(f"there is no file `{file}`")
+    distinct_outputs([*files, run_file], output)
     domain, problem = load_both(files)
     start = None if state is None else read_state(state, domain, problem, "--state")
     bound = read_run_file(run_file).bind(domain, problem)
@@ -83,7 +87,12 @@ def command(
         chosen = _best(domain, problem, spec.name, start)
     else:
         chosen = GroundAction(*read_action(given[-1], domain, problem, "ACTION"))
-    environment = spec.kind.build(spec.place)
+    semantics = Semantics(domain, problem)
+    if all(chosen != each for each, _ in semantics.applicable(start or semantics.initial_state)):
+        click.echo(
+            f"menid: by the domain's rules `{chosen}` does not apply in that state", err=True
+        )
+    environment = cast("HddEnvironment", spec.build())
     from menid_plan.environments.hdd import film
 
     if output is None:

@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from menid_plan.cli.common import existing_file, json_option, load_both, print_plain, table
+from menid_plan.cli.common import (
+    distinct_outputs,
+    existing_file,
+    json_option,
+    load_both,
+    print_plain,
+    table,
+)
+from menid_plan.cli.tasks import tell_written
 from menid_plan.files import replace_file
 
 if TYPE_CHECKING:
@@ -81,7 +89,7 @@ def command(
                 f" {', '.join(declared)}"
             )
     study = MeshStudy(domain, problem, chosen, qualities, repetitions, seed)
-    there = {run.action.action for run in study.runs()}
+    there = {call.action for call in study.calls}
     for name in chosen:
         if name not in there:
             raise click.UsageError(
@@ -89,19 +97,21 @@ def command(
                 " others with --actions"
             )
     folder.mkdir(parents=True, exist_ok=True)
+    outputs = {name: folder / f"mesh{name}" for name in ("-runs.csv", ".csv", ".json", ".png")}
+    distinct_outputs(files, *outputs.values())
 
     def told(now: Progress) -> None:
         failures = f", {now.failed} failed" if now.failed else ""
         click.echo(f"{now.done} of {now.wanted} executions{failures}", err=True)
 
     results = study.run(
-        folder / "mesh-runs.csv", jobs, told, lambda failure: click.echo(str(failure), err=True)
+        outputs["-runs.csv"], jobs, told, lambda failure: click.echo(str(failure), err=True)
     )
     curves = study.curves(results)
     text = json.dumps(study.as_json(curves, results), indent=2)
-    replace_file(folder / "mesh.csv", study.as_csv(curves).encode())
-    replace_file(folder / "mesh.json", (text + "\n").encode())
-    replace_file(folder / "mesh.png", study.as_png(curves))
+    replace_file(outputs[".csv"], study.as_csv(curves).encode())
+    replace_file(outputs[".json"], (text + "\n").encode())
+    replace_file(outputs[".png"], study.as_png(curves))
     failed = sum(bool(result.failure) for result in results.values())
     if failed:
         click.echo(
@@ -113,8 +123,7 @@ def command(
         click.echo(text)
         return
     _show(curves)
-    for name in ("mesh-runs.csv", "mesh.csv", "mesh.json", "mesh.png"):
-        click.echo(f"wrote {folder / name}")
+    tell_written(outputs.values(), err=False)
 
 
 def _names(text: str) -> list[str]:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from dataclasses import dataclass
 from itertools import islice
 
-from menid_plan.environments.interface import EnvironmentFailedError
+from menid_plan.environments.interface import CannotResetError, EnvironmentFailedError
 from menid_plan.environments.pool import ExecutionFailedError, ExecutionFuture, Failure, Pool
 from menid_plan.environments.runfile import Bound
 from menid_plan.environments.seeds import seed_of
+from menid_plan.environments.settings import differences
 from menid_plan.errors import LimitError
 from menid_plan.experience.attribution import Attributor
 from menid_plan.experience.record import Experience
+from menid_plan.experience.schema import StoreInputError
 from menid_plan.experience.store import Store
 from menid_plan.grounding.semantics import Semantics
 from menid_plan.grounding.state import SINK, GroundAction, State, state_text
@@ -23,6 +25,8 @@ from menid_plan.grounding.state import SINK, GroundAction, State, state_text
 MAX_STATES = 1000
 # So many executions that fail, and none that does not: something is wrong with all of them.
 HOPELESS = 10
+# Executions of one recording, which would take weeks.
+MAX_EXECUTIONS = 5_000_000
 # Seconds after which what was seen is written down.
 _KEPT_AFTER = 1.0
 
@@ -93,6 +97,18 @@ def jobs(bound: Bound, executions: int, seed: int) -> Iterator[Job]:
                 yield Job(spec.name, state, action, drawn, number)
 
 
+def must_go_on_with(store: Store, bound: Bound) -> None:
+    """Raise StoreInputError for the store of a learning run, or one of other environments."""
+    if "learn" in store.settings:
+        raise StoreInputError(f"`{store.path}` is the store of a learning run: choose another file")
+    before = store.settings.get("environments")
+    for key, there, here in differences(before, bound.described()) if before else ():
+        raise StoreInputError(
+            f"`{store.path}` was recorded with {key} = {there}, and this one has {here}: choose"
+            " another file, or the run file that it was recorded with"
+        )
+
+
 def record(
     bound: Bound,
     store: Store,
@@ -101,27 +117,58 @@ def record(
     workers: int = 1,
     progress: Callable[[Progress], None] = lambda _: None,
     failed: Callable[[Failure], None] = lambda _: None,
+    left_out: Callable[[str], None] = lambda _: None,
 ) -> Progress:
     """Record what is missing in the store; executions that fail each time are left out.
 
-    What is recorded depends on the seed alone, not on the workers, nor on where it was interrupted.
-    EnvironmentFailedError if nothing but failures comes.
+    So are states that an environment can't be put into: ``left_out`` is told of each, in words. What
+    is recorded depends on the seed alone, not on the workers, nor on where it was interrupted.
+    EnvironmentFailedError if nothing but failures comes, StoreInputError if the store has other
+    executions than those that belong there, LimitError if there are too many.
     """
     target = bound.target.name
+    number = len(situations(bound)) * len(bound.environments) * executions
+    if number > MAX_EXECUTIONS:
+        raise LimitError(
+            f"there are {number} executions to be recorded; at most {MAX_EXECUTIONS} are"
+        )
     wanted = list(jobs(bound, executions, seed))
-    have = {_key(e.environment, target, e.action, e.number) for e in store}
-    missing = [j for j in wanted if _key(j.environment, target, j.action, j.number) not in have]
+    have = {_key(e.environment, target, e.action, e.number): e for e in store}
+    missing = []
+    for job in wanted:
+        there = have.get(_key(job.environment, target, job.action, job.number))
+        if there is None:
+            missing.append(job)
+        elif (there.state, there.action, there.seed) != (job.state, job.action, job.seed):
+            raise StoreInputError(
+                f"`{store.path}` has another execution {job.number} of `{there.action}` in"
+                f" `{job.environment}` than a recording has there: choose another file"
+            )
     attributor = Attributor(bound.domain, bound.problem)
     specs = {spec.name: spec for spec in bound.environments}
     recorded, lost = len(wanted) - len(missing), 0
     before = recorded
     kept: list[Experience] = []
     last = time.monotonic()
+    unreachable: set[tuple[str, State]] = set()
     with Pool(specs.values(), workers, failed=failed) as pool:
         try:
-            for job, future in _ahead(pool, missing):
+            for job, future in _ahead(pool, missing, unreachable):
                 try:
+                    if future is None:
+                        lost += 1
+                        continue
                     execution = future.result()
+                except CannotResetError as error:
+                    lost += 1
+                    if (job.environment, job.state) not in unreachable:
+                        unreachable.add((job.environment, job.state))
+                        left_out(
+                            f"nothing is recorded of the state `{state_text(job.state)}` in"
+                            f" `{job.environment}`: {error}"
+                        )
+                    if job.state == frozenset(bound.problem.init):
+                        raise
                 except ExecutionFailedError as error:
                     lost += 1
                     if lost == min(HOPELESS, len(missing)) and recorded == before:
@@ -157,11 +204,15 @@ def _key(
     return environment, None if environment == target else action, number
 
 
-def _ahead(pool: Pool, found: list[Job]) -> Iterator[tuple[Job, ExecutionFuture]]:
-    """The jobs in their order, some of them under way before it is their turn."""
+def _ahead(
+    pool: Pool, found: list[Job], unreachable: Container[tuple[str, State]]
+) -> Iterator[tuple[Job, ExecutionFuture | None]]:
+    """The jobs in their order, some under way before it is their turn; None: it is in no such state."""
     rest = iter(found)
 
-    def submitted(job: Job) -> tuple[Job, ExecutionFuture]:
+    def submitted(job: Job) -> tuple[Job, ExecutionFuture | None]:
+        if (job.environment, job.state) in unreachable:
+            return job, None
         return job, pool.submit(job.environment, job.state, job.action, job.seed, job.number)
 
     waiting = deque(map(submitted, islice(rest, 4 * pool.workers)))

@@ -101,13 +101,17 @@ class EnvironmentSpec:
         return self.duration
 
     def open(self) -> Session:
-        """Build the environment, as a session that checks it and gives durations.
+        """Build the environment, as a session that checks it and gives durations; see `build`."""
+        return Session(self.build(), self.domain, self.problem, self.name, self.nominal)
+
+    def build(self) -> Environment:
+        """Build the environment.
 
         Raises SettingError that names the run file and the key from its top, or
         EnvironmentFailedError that names the environment.
         """
         try:
-            environment = self.kind.build(self.place)
+            return self.kind.build(self.place)
         except SettingError as error:
             raise SettingError(
                 f"environment.{self.name}.settings.{error.key}".rstrip("."), error.message,
@@ -119,7 +123,6 @@ class EnvironmentSpec:
             raise
         except (Exception, SystemExit) as error:  # whatever a simulator does when it starts
             raise EnvironmentFailedError(f"environment `{self.name}`: {said(error)}") from error
-        return Session(environment, self.domain, self.problem, self.name, self.nominal)
 
 
 def kind_entry_points() -> dict[str, EntryPoint]:

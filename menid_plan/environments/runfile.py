@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from menid_plan.environments.registry import (
     NO_PARAMS,
@@ -112,6 +113,20 @@ class Bound:
     def environments(self) -> tuple[EnvironmentSpec, ...]:
         """The target, then the tests."""
         return (self.target, *self.tests)
+
+    def described(self) -> dict[str, Any]:
+        """The environments with their roles, kinds and settings, as JSON has them."""
+        found = {
+            spec.name: {
+                "role": spec.role,
+                "kind": type(spec.kind).name,
+                "duration": spec.duration,
+                "settings": asdict(spec.kind),  # type: ignore[call-overload]
+            }
+            for spec in self.environments
+        }
+        plain: dict[str, Any] = json.loads(json.dumps(found, default=str))
+        return plain
 
 
 @dataclass(frozen=True, slots=True)

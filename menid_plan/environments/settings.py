@@ -176,6 +176,22 @@ def _expected(hint: Any) -> str:
     return _WORDS.get(hint, "a table")
 
 
+_NOTHING = object()
+
+
+def differences(before: Any, now: Any, key: str = "") -> typing.Iterator[tuple[str, str, str]]:
+    """The keys at which two tables differ, each with the values there as texts."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        for name in dict.fromkeys((*before, *now)):
+            inner = f"{key}.{name}" if key else name
+            yield from differences(before.get(name, _NOTHING), now.get(name, _NOTHING), inner)
+    elif before != now:
+        there, here = (
+            "nothing" if value is _NOTHING else json.dumps(value) for value in (before, now)
+        )
+        yield key, there, here
+
+
 def shown(value: object, width: int = 60) -> str:
     """A value as TOML writes it, shortened."""
     text = json.dumps(value, default=str, ensure_ascii=False)

@@ -120,7 +120,8 @@ class WrongTaskError(MenidError):
 # The path comes by arguments: PYTHONPATH would reach the programs that environments start, which may
 # be of another Python.
 _PROGRAM = """\
-import sys
+import signal, sys
+signal.signal(signal.SIGINT, signal.SIG_IGN)
 sys.path[:] = sys.argv[2:]
 from menid_plan.environments.worker import main
 main()

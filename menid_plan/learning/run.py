@@ -18,7 +18,7 @@ import numpy as np
 
 from menid_plan.environments.runfile import Bound, WorkersTable
 from menid_plan.environments.seeds import seed_of
-from menid_plan.environments.settings import SettingError
+from menid_plan.environments.settings import SettingError, differences
 from menid_plan.errors import MenidError
 from menid_plan.experience.attribution import Attributor
 from menid_plan.experience.store import Store, StoreError, StoreInputError
@@ -228,15 +228,7 @@ class Run:
             "problem": self.bound.problem.name,
             "params": self.params,
             "learn": asdict(self.settings),
-            "environments": {
-                spec.name: {
-                    "role": spec.role,
-                    "kind": type(spec.kind).name,
-                    "duration": spec.duration,
-                    "settings": asdict(spec.kind),  # type: ignore[call-overload]
-                }
-                for spec in self.bound.environments
-            },
+            "environments": self.bound.described(),
         }
         plain: dict[str, Any] = json.loads(json.dumps(described, default=str))
         return plain
@@ -363,29 +355,12 @@ def _must_be_same(path: Path, before: Mapping[str, Any], now: Mapping[str, Any])
             f"`{path}` has settings of version {before.get('version')!r}, and this menid-plan knows "
             f"{now['version']}"
         )
-    for key, there, here in _differences(before, now):
+    for key, there, here in differences(before, now):
         if key not in [f"learn.{limit}" for limit in LIMITS]:
             raise RunError(
-                f"`{path}`: the run has {key} = {_shown(there)}, and is to be resumed with "
-                f"{_shown(here)}; only when it ends ({', '.join(LIMITS)}) may change"
+                f"`{path}`: the run has {key} = {there}, and is to be resumed with "
+                f"{here}; only when it ends ({', '.join(LIMITS)}) may change"
             )
-
-
-_NOTHING = object()
-
-
-def _differences(before: Any, now: Any, key: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """The keys at which two tables differ, with the values there."""
-    if isinstance(before, dict) and isinstance(now, dict):
-        for name in dict.fromkeys((*before, *now)):
-            inner = f"{key}.{name}" if key else name
-            yield from _differences(before.get(name, _NOTHING), now.get(name, _NOTHING), inner)
-    elif before != now:
-        yield key, before, now
-
-
-def _shown(value: Any) -> str:
-    return "nothing" if value is _NOTHING else json.dumps(value)
 
 
 @contextmanager

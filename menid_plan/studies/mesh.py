@@ -28,12 +28,15 @@ from menid_plan.environments.pool import ExecutionFailedError, Failure, Pool, in
 from menid_plan.environments.recording import HOPELESS
 from menid_plan.environments.registry import EnvironmentSpec
 from menid_plan.environments.seeds import seed_of
+from menid_plan.errors import LimitError
 from menid_plan.grounding.semantics import Semantics
 from menid_plan.grounding.state import GroundAction, State
 from menid_plan.learning.mixtures import Floats
 from menid_plan.model.domain import Domain, Problem
-from menid_plan.studies.mesh_runs import Result, Run, RunsFile
+from menid_plan.studies.mesh_runs import Result, Run, RunsFile, RunsFileError
 
+# Executions of one study, which would take weeks.
+MAX_RUNS = 1_000_000
 # The qualities of the paper.
 LOWEST, HIGHEST = 0.00103, 0.01
 _SCENE = Hdd(noise=1.0)
@@ -102,13 +105,18 @@ class MeshStudy:
 
         Qualities alternate fastest: if the machine gets slower meanwhile, it does so for all of them.
         """
-        semantics = Semantics(self.domain, self.problem)
-        calls = [call for call, _ in semantics.applicable(semantics.initial_state)]
+        calls = self.calls
         for repetition in range(self.repetitions):
             for call in calls:
-                if call.action in self.actions:
-                    seed = seed_of(self.seed, "mesh", str(call), repetition)
-                    yield from (Run(call, quality, repetition, seed) for quality in self.grid)
+                seed = seed_of(self.seed, "mesh", str(call), repetition)
+                yield from (Run(call, quality, repetition, seed) for quality in self.grid)
+
+    @property
+    def calls(self) -> list[GroundAction]:
+        """What is executed: the actions at each place where they apply in the initial state."""
+        semantics = Semantics(self.domain, self.problem)
+        applicable = semantics.applicable(semantics.initial_state)
+        return [call for call, _ in applicable if call.action in self.actions]
 
     def run(
         self,
@@ -122,8 +130,12 @@ class MeshStudy:
         Runs that failed before are tried again. Raises RunsFileError, EnvironmentFailedError if
         nothing but failures comes, and OSError.
         """
+        number = len(self.calls) * self.qualities * self.repetitions
+        if number > MAX_RUNS:
+            raise LimitError(f"the study has {number} executions; at most {MAX_RUNS} are made")
         wanted = list(self.runs())
         with RunsFile(path, self.origin()) as file:
+            _check_atoms(self.domain, path, file.results.values())
             have = {run: file.results[run] for run in wanted if run in file.results}
             missing = [run for run in wanted if run not in have or have[run].failure]
             found = {run: result for run, result in have.items() if not result.failure}
@@ -345,6 +357,14 @@ def _draw(above: Any, below: Any, curve: Curve) -> None:
     for panel in (above, below):
         panel.grid(visible=True, linewidth=0.4, alpha=0.5)
         panel.margins(x=0.02)
+
+
+def _check_atoms(domain: Domain, path: Path, results: Iterable[Result]) -> None:
+    known = {predicate.name for predicate in domain.predicates}
+    for result in results:
+        for atom in result.state:
+            if atom.predicate not in known:
+                raise RunsFileError(f"{path} has the atom `{atom}`, which the domain does not know")
 
 
 def _name(quality: float) -> str:

@@ -62,6 +62,8 @@ class RunsFile:
         try:
             data = self._file.read()
             whole = data[: data.rfind(b"\n") + 1]
+            if not whole and not _line(self.HEAD).startswith(data):  # not a head that was cut
+                raise RunsFileError(f"{path}, line 1: it is no run of a mesh study")
             self._read(whole)
             self._file.truncate(len(whole))
             self._file.seek(len(whole))
@@ -97,9 +99,7 @@ class RunsFile:
         )  # fmt: skip
 
     def _write(self, row: Sequence[object]) -> None:
-        text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerow(row)
-        self._file.write(text.getvalue().encode())
+        self._file.write(_line(row))
         self._file.flush()
 
     def _read(self, data: bytes) -> None:
@@ -125,3 +125,9 @@ class RunsFile:
                     " scenes: choose another folder, or move the file away"
                 )
             self.results[run] = result
+
+
+def _line(row: Sequence[object]) -> bytes:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerow(row)
+    return text.getvalue().encode()

@@ -9,10 +9,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from menid_plan.environments.hdd.engine import EngineSettings, Pose
+from menid_plan.environments.hdd.geometry import LENGTH
 from menid_plan.environments.hdd.hand import STEADY, Hand
 from menid_plan.environments.hdd.kind import Deviations, Hdd
 from menid_plan.environments.hdd.lever import Lever, lever
+from menid_plan.environments.hdd.mesh import TriangleMesh
 from menid_plan.environments.hdd.meshes import Source, part_mesh
+from menid_plan.environments.hdd.scans import MeshError
 from menid_plan.environments.hdd.scene import TABLE, BrokenDownError, Physics, Scene, level, turned
 from menid_plan.environments.hdd.shake import FREQUENCY, Shake, shake
 from menid_plan.environments.hdd.soft_cup import SoftGrip
@@ -36,6 +39,13 @@ ACTIONS: dict[str, tuple[tuple[str, ...], ...]] = {
     "shake": (("degrees",),),
     "suck": (("x", "y"), ("pascal",)),
 }
+
+# What the attributes may be. A cup that sits beyond the board's edges has nothing to hold on to, and a
+# vacuum is no better than none of the atmosphere's pressure.
+RANGES = {
+    "x": (-LENGTH, LENGTH), "y": (-LENGTH, LENGTH), "direction": (-360.0, 360.0),
+    "degrees": (0.0, 45.0), "pascal": (-101_325.0, 0.0),
+}  # fmt: skip
 
 # A board that sank deeper than this into something, in mm, is an error of the computation: then all of
 # it is computed again, with steps so many times shorter.
@@ -73,11 +83,7 @@ class HddEnvironment:
         self._predicates = {atom.predicate for atom in self._known}
         self._init = frozenset(place.problem.init)
         self._others: State = frozenset(a for a in self._init if a not in self._known)
-        meshes = {
-            part: part_mesh(Source(part, kind.scan(part, place.folder)), kind.quality).mesh
-            for part in ("board", "bay")
-        }
-        self._meshes = meshes["board"], meshes["bay"]
+        self._meshes = _mesh(kind, place, "board"), _mesh(kind, place, "bay")
         # For pictures: bodies get shapes to be seen, and something is called after each step of time.
         self.drawn = self.window = False
         self.after_step: Callable[[Scene], None] | None = None
@@ -209,6 +215,17 @@ class HddEnvironment:
         return frozenset(atom for atom in self._known if PREDICATES[atom.predicate][1](seen))
 
 
+def _mesh(kind: Hdd, place: Place, part: str) -> TriangleMesh:
+    """The mesh of a part; SettingError for a scan that can't be used."""
+    scan = kind.scan(part, place.folder)
+    try:
+        return part_mesh(Source(part, scan), kind.quality).mesh
+    except MeshError as error:
+        if scan is None:
+            raise
+        raise SettingError(part, str(error)) from error
+
+
 def tool_of(
     action: str, numbers: Mapping[str, float], errors: Mapping[str, float], force: float
 ) -> Lever | Shake | Suck:
@@ -263,6 +280,14 @@ def _arguments(domain: Domain, problem: Problem) -> dict[str, dict[str, float]]:
                         "", f"the object `{thing.name}` of problem `{problem.name}` lacks the attribute"
                         f" `{missing[0]}`, which `{action.name}` needs"
                     )  # fmt: skip
+                for name in names:
+                    least, most = RANGES[name]
+                    if not least <= have[name] <= most:
+                        raise SettingError(
+                            "", f"the attribute `{name}` of the object `{thing.name}` of problem"
+                            f" `{problem.name}` is {have[name]:g}; it must lie between {least:g} and"
+                            f" {most:g}"
+                        )  # fmt: skip
     return {thing.name: dict(thing.attributes) for thing in objects}
 
 
@@ -293,4 +318,9 @@ def _known(domain: Domain, parts: Mapping[str, str]) -> frozenset[GroundAtom]:
                     f" scene tells has {len(about)}"
                 )  # fmt: skip
             found.append(GroundAtom(predicate.name, tuple(parts[part] for part in about)))
+    if not {"in", "on-table"} & {atom.predicate for atom in found}:
+        raise SettingError(
+            "", f"domain `{domain.name}` declares neither `in(pcb, bay)` nor `on-table(pcb)`: the scene"
+            " can't be told where the board is"
+        )  # fmt: skip
     return frozenset(found)

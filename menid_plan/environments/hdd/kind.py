@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from menid_plan.environments.hdd.environment import HddEnvironment
 
 
+# Beyond this, numbers of the scene make no sense, and soon none that can be computed with.
+MOST = 1000.0
+
+
 @dataclass(frozen=True, slots=True)
 class Deviations:
     """How far things err: standard deviations of normal draws, one for each execution.
@@ -40,7 +44,7 @@ class Deviations:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            check_range(self, field.name, least=0)
+            check_range(self, field.name, least=0, most=MOST)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +61,7 @@ class Perception:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            check_range(self, field.name, least=0)
+            check_range(self, field.name, least=0, most=MOST)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +99,9 @@ class Hdd:
 
     def __post_init__(self) -> None:
         check_range(self, "quality", least=0.001, most=0.1)
-        check_range(self, "noise", least=0)
+        check_range(self, "noise", least=0, most=MOST)
         for key in ("friction", "restitution", "gravity", "force"):
-            check_range(self, key, least=0)
+            check_range(self, key, least=0, most=MOST)
         check_range(self, "step", least=1e-5, most=0.01)
         check_range(self, "iterations", least=1, most=1000)
         check_range(self, "threshold", least=0, most=1)

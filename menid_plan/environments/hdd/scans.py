@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import stat
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from menid_plan.environments.hdd.mesh import Points, TriangleMesh, Triangles
 from menid_plan.environments.interface import EnvironmentFailedError
 
 FORMATS = ("stl", "obj", "ply")
+# Bytes of a scan that are read at most.
+LARGEST_FILE = 2**31
 
 # A binary STL: a header with the number of triangles, and so many bytes for each.
 STL_HEADER, STL_TRIANGLE = 84, 50
@@ -37,11 +40,25 @@ class MeshError(EnvironmentFailedError):
 
 
 def read_bytes(path: Path) -> bytes:
-    """A file's content; MeshError if there is none."""
+    """The content of a scan's file; MeshError if there is none, or its ending says nothing."""
+    check_ending(path)
     try:
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode):
+            raise MeshError(f"{path}: it is no file")
+        if found.st_size > LARGEST_FILE:
+            raise MeshError(f"{path}: it is larger than {LARGEST_FILE // 2**20} MiB")
         return path.read_bytes()
-    except OSError as error:
-        raise MeshError(f"{path}: {error.strerror or error}") from error
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        raise MeshError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+
+
+def check_ending(path: Path) -> str:
+    """The format that a file's ending names; MeshError for any other."""
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in FORMATS:
+        raise MeshError(f"{path}: the file's ending must be one of {', '.join(FORMATS)}")
+    return kind
 
 
 def read_scan(path: Path) -> TriangleMesh:
@@ -50,10 +67,7 @@ def read_scan(path: Path) -> TriangleMesh:
     It must be one closed body. Vertices at the same place are merged, since STL has no others, and
     triangles that are turned the wrong way are turned.
     """
-    kind = path.suffix.lower().removeprefix(".")
-    if kind not in FORMATS:
-        raise MeshError(f"{path}: the file's ending must be one of {', '.join(FORMATS)}")
-    found = _loaded(path, kind)
+    found = _loaded(path, check_ending(path))
     if not (np.abs(found.vertices) < FARTHEST).all():  # also for nan
         raise MeshError(f"{path}: some of its coordinates are not numbers, or beyond a kilometre")
     # A file with a texture has as many vertices at a place as the texture has points for it.
