@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from menid_plan.errors import LimitError, MeaningError
 from menid_plan.grounding.explain import RuleExplanation, explain, explain_action
-from menid_plan.grounding.reasons import conjuncts, substituted, why_not
+from menid_plan.grounding.reasons import conjuncts, why_not
 from menid_plan.grounding.semantics import Semantics
 from menid_plan.grounding.state import GroundAction, State
 from menid_plan.model.domain import DerivedPredicate, Domain, Environment, Problem, Type
@@ -118,7 +118,7 @@ def test_objects_take_the_place_of_free_variables_everywhere() -> None:
         TRUE,
         atom("p", "x"),
     )
-    assert formula_text(substituted(formula, {"x": "b1", "v": "b2"})) == (
+    assert formula_text(replaced(formula, bound({"x": "b1", "v": "b2"}))) == (
         "(p(b1) or b1 != b2) and "
         "(exists y: block (on(b1, y)) implies forall y: block (on(y, b2))) and "
         "count y: block (on(b1, y)) < 3 and true and p(x)"

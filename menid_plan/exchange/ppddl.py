@@ -1,199 +1,387 @@
-"""PPDDL, state by state: what every reader of the language takes, for problems with few states.
+"""PPDDL in the subset that its readers agree on (Younes and Littman 2004 for the language).
 
-Every ground action becomes an action without parameters. It applies where it applies in a reachable
-state, and says for each of these states what it does there (Younes and Littman 2004 for the language).
+An action pays what it costs and what its outcome brings by changing ``(reward)``; the rewards of
+states are paid by every action. What is left of the sum of an action's chances is no change.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TypeAlias
 
-import numpy as np
+from menid_plan.exchange.flat import Call, Flat, NotExpressibleError, value_of
+from menid_plan.exchange.names import names_for
+from menid_plan.model.domain import OBJECT
+from menid_plan.model.expressions import Expression
+from menid_plan.model.formulas import (
+    And,
+    Atom,
+    Count,
+    Equality,
+    Exists,
+    ForAll,
+    Formula,
+    Implies,
+    Not,
+    Or,
+    Term,
+    Truth,
+    TypedVariable,
+    Variable,
+)
+from menid_plan.model.rules import Action, ConditionalEffect, Effect, Literal, Outcome, Rule
 
-from menid_plan.errors import LimitError, MenidError
-from menid_plan.grounding.state import SINK, GroundAction, State
-from menid_plan.mdp.explore import Structure
-from menid_plan.mdp.model import MDP
-from menid_plan.model.domain import Domain, Problem
-from menid_plan.model.formulas import GroundAtom
-
-MAX_TRANSITIONS = 20_000
 # Readers keep numbers as fractions of 32-bit integers: more digits would overflow them.
 DIGITS = 6
-# The proposition that holds once noise has led out of the model.
-SUNK = GroundAtom("sunk", ())
-_RESERVED = frozenset(
+# Fractions that a column of probabilities may be written in.
+MOST_PARTS = 10_000
+WIDTH = 100
+
+RESERVED = frozenset(
     "and or not imply exists forall when probabilistic increase decrease assign scale-up scale-down"
-    " either object reward define domain problem goal total-time".split()
+    " either object number define domain problem goal reward total-time goal-achieved minimize"
+    " maximize".split()
 )
 
-
-class NotExpressibleError(MenidError):
-    """The target language can't say something; the message names it."""
-
-    exit_code = 4
+# An expression: a word, or a list of expressions.
+Sexp: TypeAlias = "str | list[Sexp]"
 
 
-def ppddl(domain: Domain, problem: Problem, structure: Structure, mdp: MDP) -> tuple[str, str]:
-    """The texts of domain and problem for the reachable states of a problem.
+@dataclass(frozen=True, slots=True)
+class Written:
+    """The texts of a domain and a problem, and the actions of their actions' names."""
 
-    Actions pay their reward on average, a goal ends an episode; probabilities and rewards have six
-    decimals. Discount and horizon have no place in the language and are told in a comment. LimitError
-    above 20,000 transitions, NotExpressibleError for names that the language does not tell apart.
+    domain: str
+    problem: str
+    calls: Mapping[str, tuple[tuple[str, ...], Call]]
+
+
+def ppddl(flat: Flat) -> Written:
+    """The texts of a flat problem.
+
+    Discount and horizon have no place in the language and are told in a comment. Raises
+    NotExpressibleError for a reward of dead ends, which an action can't know that it leads to.
     """
-    if mdp.transitions > MAX_TRANSITIONS:
-        raise LimitError(
-            f"problem `{problem.name}` has {mdp.transitions} transitions: PPDDL is written state by"
-            f" state, up to {MAX_TRANSITIONS} of them"
-        )
-    _check_names(p.name for p in domain.predicates)
-    _check_names(thing.name for thing in (*domain.constants, *problem.objects))
-    model = _Model(domain, problem, structure, mdp)
-    return "\n".join(model.domain()) + "\n", "\n".join(model.problem()) + "\n"
+    return _Writer(flat).written()
 
 
-def _check_names(names: Iterable[str]) -> None:
-    seen: dict[str, str] = {}
-    for name in names:
-        low = name.lower()
-        if low in _RESERVED or low == SUNK.predicate:
-            raise NotExpressibleError(f"`{name}` is a word of PPDDL itself: give it another name")
-        if seen.setdefault(low, name) != name:
-            raise NotExpressibleError(
-                f"`{seen[low]}` and `{name}` are one name in PPDDL, which does not tell small from"
-                " capital letters: rename one of them"
+class _Writer:
+    def __init__(self, flat: Flat) -> None:
+        d, p = flat.domain, flat.problem
+        self.flat, self._domain, self._problem = flat, d, p
+        self._types = names_for(((t.name, t.name) for t in d.types), RESERVED)
+        self._types[OBJECT] = OBJECT
+        self._predicates = names_for(((q.name, q.name) for q in d.predicates), RESERVED)
+        objects = (*d.constants, *p.objects)
+        self._objects = names_for(((o.name, o.name) for o in objects), RESERVED)
+        self._actions = names_for(((a.name, a.name) for a in d.actions), RESERVED)
+        self._variables: dict[str, str] = {}
+
+    def written(self) -> Written:
+        p = self._problem
+        if value_of(p.dead_end_reward):
+            raise NotExpressibleError("PPDDL has no reward for dead ends", p.span)
+        domain = "\n".join(self._domain_lines()) + "\n"
+        problem = "\n".join(self._problem_lines()) + "\n"
+        calls = {
+            self._actions[a.name].lower(): (
+                tuple(v.name for v in a.parameters), self.flat.calls[a.name]
             )
+            for a in self._domain.actions
+        }  # fmt: skip
+        return Written(domain, problem, calls)
 
+    # --------------------------------------------------------------------------------------- texts
 
-class _Model:
-    def __init__(self, domain: Domain, problem: Problem, structure: Structure, mdp: MDP) -> None:
-        self._domain, self._problem, self._mdp = domain, problem, mdp
-        states = (structure.state(number) for number in range(mdp.states))
-        self._states: list[State] = [frozenset({SUNK}) if s is SINK else s for s in states]
-        self._facts = sorted(frozenset().union(*self._states), key=str)
-        always = frozenset(self._facts).intersection(*self._states)
-        # What tells reachable states from each other.
-        self._varying = [fact for fact in self._facts if fact not in always]
-        self._actions: dict[GroundAction, list[tuple[int, int]]] = {}
-        for state in range(mdp.states):
-            for row in range(int(mdp.state_row[state]), int(mdp.state_row[state + 1])):
-                self._actions.setdefault(structure.action(row), []).append((state, row))
-
-    def domain(self) -> Iterator[str]:
+    def _domain_lines(self) -> Iterator[str]:
         d = self._domain
-        objects = sorted({name for fact in self._facts for name in fact.arguments})
-        arities = {fact.predicate: len(fact.arguments) for fact in self._facts}
-        yield f"; {d.name}, as far as {self._problem.name} reaches it, state by state"
-        yield f"(define (domain {d.name})"
+        used = self._used_objects()
+        yield from _comment(d.doc)
+        yield f"(define (domain {_name(d.name)})"
         yield "  (:requirements :adl :probabilistic-effects :rewards)"
-        if objects:
-            yield f"  (:constants {' '.join(objects)})"
+        if d.types:
+            yield "  (:types"
+            for each in d.types:
+                yield f"    {self._types[each.name]} - {self._types[each.parent]}"
+            yield "  )"
+        if used:
+            yield "  (:constants"
+            for each in d.constants:
+                if each.name in used:
+                    yield f"    {self._objects[each.name]} - {self._types[each.type]}"
+            yield "  )"
         yield "  (:predicates"
-        for name, arity in arities.items():
-            yield f"    ({' '.join([name, *(f'?x{k}' for k in range(1, arity + 1))])})"
+        for predicate in d.predicates:
+            arguments = (
+                f"?x{i} - {_text(self._type(types))}"
+                for i, types in enumerate(predicate.arguments, 1)
+            )
+            yield f"    ({' '.join([self._predicates[predicate.name], *arguments])})"
         yield "  )"
-        names = _names(self._actions)
-        for action, places in self._actions.items():
-            yield f"  ; {action}"
-            yield f"  (:action {names[action]}"
-            yield "    :parameters ()"
-            where = _either([self._condition(state) for state, _ in places])
-            yield f"    :precondition {where}"
-            effects = []
-            for state, row in places:
-                effect = self._effect(state, row)
-                if len(places) > 1:
-                    effect = f"(when {self._condition(state)}\n        {effect})"
-                effects.append(effect)
-            yield f"    :effect {_both(effects)})"
+        for action in d.actions:
+            yield from self._action(action)
         yield ")"
 
-    def problem(self) -> Iterator[str]:
-        p, mdp = self._problem, self._mdp
-        if mdp.discount < 1:
-            yield f"; discount {mdp.discount:g}"
-        if mdp.horizon is not None:
-            yield f"; horizon {mdp.horizon}"
-        yield f"(define (problem {p.name})"
-        yield f"  (:domain {self._domain.name})"
-        yield f"  (:init {' '.join(_atom(a) for a in sorted(self._states[0], key=str))})"
-        if mdp.has_goal:
-            reached = np.flatnonzero(mdp.goal).tolist()
-            # A goal that can't be reached is what never holds.
-            met = _either([self._condition(state) for state in reached]) if reached else "(or)"
-            yield f"  (:goal {met})"
+    def _problem_lines(self) -> Iterator[str]:
+        d, p = self._domain, self._problem
+        used = self._used_objects()
+        yield from _comment(p.doc)
+        if p.discount is not None:
+            yield f"; discount {p.discount:g}"
+        if p.horizon is not None:
+            yield f"; horizon {p.horizon}"
+        yield f"(define (problem {_name(p.name)})"
+        yield f"  (:domain {_name(d.name)})"
+        rest = [o for o in (*d.constants, *p.objects) if o.name not in used]
+        if rest:
+            yield "  (:objects"
+            for each in rest:
+                yield f"    {self._objects[each.name]} - {self._types[each.type]}"
+            yield "  )"
+        yield "  (:init"
+        for atom in sorted(set(p.init)):
+            names = (self._objects[name] for name in atom.arguments)
+            yield f"    ({' '.join([self._predicates[atom.predicate], *names])})"
+        yield "  )"
+        if p.goal is not None:
+            yield from _laid_out([":goal", self._formula(p.goal)], 2)
+            reward = value_of(p.goal_reward)
+            if reward:
+                text = number_text(abs(reward))
+                yield f"  (:goal-reward {text if reward > 0 else f'(- {text})'})"
         yield "  (:metric maximize (reward))"
         yield ")"
 
-    def _condition(self, state: int) -> str:
-        holds = self._states[state]
-        return _both([_atom(f) if f in holds else f"(not {_atom(f)})" for f in self._varying])
+    def _used_objects(self) -> set[str]:
+        """The objects that the domain speaks of by name."""
+        found: set[str] = set()
+        for action in self._domain.actions:
+            (rule,) = action.rules
+            _objects_in(rule.condition, found)
+            for outcome in rule.outcomes:
+                for effect in outcome.effects:
+                    if not isinstance(effect, Literal):
+                        _objects_in(effect.condition, found)
+                    literals = (effect,) if isinstance(effect, Literal) else effect.effects
+                    for literal in literals:
+                        _objects_in(literal.atom, found)
+        for reward in self._domain.rewards:
+            _objects_in(reward.condition, found)
+        return found
 
-    def _effect(self, state: int, row: int) -> str:
-        mdp = self._mdp
-        span = slice(int(mdp.row_transition[row]), int(mdp.row_transition[row + 1]))
-        chances: dict[str, float] = {}
-        for after, chance in zip(
-            mdp.next_state[span].tolist(), mdp.row_probabilities(row).tolist(), strict=True
-        ):
-            change = _change(self._states[state], self._states[after])
-            chances[change] = chances.get(change, 0.0) + chance
-        chances.pop("", None)  # what is left of 1 is no change
-        parts = []
-        if chances:
-            shares = _shares(chances)
-            choices = " ".join(f"{shares[change]} {change}" for change in chances)
-            certain = len(chances) == 1 and float(*shares.values()) == 1
-            parts.append(next(iter(chances)) if certain else f"(probabilistic {choices})")
-        reward = round(float(mdp.row_reward[row]), DIGITS)
-        if reward:
-            word = "increase" if reward > 0 else "decrease"
-            parts.append(f"({word} (reward) {_number(abs(reward))})")
-        return _both(parts)
+    def _action(self, action: Action) -> Iterator[str]:
+        (rule,) = action.rules
+        self._variables = names_for((v.name, v.name) for v in action.parameters)
+        yield from _comment(action.doc, 2)
+        yield f"  (:action {self._actions[action.name]}"
+        yield f"    :parameters ({_text(self._typed(action.parameters))[1:-1]})"
+        yield from _laid_out(self._formula(rule.condition), 4, ":precondition ")
+        yield from _laid_out(self._effect(action, rule), 4, ":effect ")
+        yield "  )"
+
+    # ------------------------------------------------------------------------------------- effects
+
+    def _effect(self, action: Action, rule: Rule) -> Sexp:
+        parts = list(_pay(action.cost, -1))
+        for each in self._domain.rewards:
+            for paid in _pay(each.reward):
+                known = dict(self._variables)
+                variables = self._typed(each.variables)
+                some: Sexp = paid
+                if each.condition != Truth(True):
+                    some = ["when", self._formula(each.condition), paid]
+                parts.append(["forall", variables, some] if variables else some)
+                self._variables = known
+        chances = [value_of(outcome.cells[0]) for outcome in rule.outcomes]
+        changes = [self._outcome(outcome) for outcome in rule.outcomes]
+        together: dict[str, tuple[Sexp, float]] = {}
+        for chance, change in zip(chances, changes, strict=True):
+            if chance > 0:
+                before = together.get(_text(change), (change, 0.0))[1]
+                together[_text(change)] = (change, before + chance)
+        unchanged = together.pop("(and)", None)  # what is left of 1 is no change
+        if len(together) == 1 and unchanged is None:
+            ((change, _),) = together.values()
+            parts += change[1:] if change[0] == "and" else [change]
+        elif together:
+            texts = shares([chance for _, chance in together.values()], whole=unchanged is None)
+            choice: list[Sexp] = ["probabilistic"]
+            for (change, _), text in zip(together.values(), texts, strict=True):
+                choice += [text, change]
+            parts.append(choice)
+        return _all(parts)
+
+    def _outcome(self, outcome: Outcome) -> Sexp:
+        parts: list[Sexp] = []
+        for effect in outcome.effects:
+            known = dict(self._variables)
+            parts += self._changes(effect)
+            self._variables = known
+        return _all([*parts, *_pay(outcome.reward)])
+
+    def _changes(self, effect: Effect) -> list[Sexp]:
+        match effect:
+            case Literal():
+                return [self._literal(effect)]
+            case ConditionalEffect(condition, literals):
+                inner = _all([self._literal(each) for each in literals])
+                return [["when", self._formula(condition), inner]]
+        variables = self._typed(effect.variables)
+        inner = _all([self._literal(each) for each in effect.effects])
+        if effect.condition != Truth(True):
+            inner = ["when", self._formula(effect.condition), inner]
+        return [["forall", variables, inner]]
+
+    def _literal(self, literal: Literal) -> Sexp:
+        atom = self._formula(literal.atom)
+        return atom if literal.positive else ["not", atom]
+
+    # ------------------------------------------------------------------------------------ formulas
+
+    def _formula(self, formula: Formula) -> Sexp:
+        match formula:
+            case Truth(value):
+                return ["and"] if value else ["or"]
+            case Atom(predicate, arguments):
+                return [self._predicates[predicate], *map(self._term, arguments)]
+            case Equality(left, right):
+                return ["=", self._term(left), self._term(right)]
+            case Not(operand):
+                return ["not", self._formula(operand)]
+            case And(formulas):
+                return ["and", *map(self._formula, formulas)]
+            case Or(formulas):
+                return ["or", *map(self._formula, formulas)]
+            case Implies(left, right):
+                return ["imply", self._formula(left), self._formula(right)]
+            case Exists(variables, body) | ForAll(variables, body):
+                word = "exists" if isinstance(formula, Exists) else "forall"
+                known = dict(self._variables)
+                found: Sexp = [word, self._typed(variables), self._formula(body)]
+                self._variables = known
+                return found
+            case Count():  # pragma: no cover - a flat problem has none
+                raise AssertionError(formula)
+
+    def _term(self, term: Term) -> Sexp:
+        if isinstance(term, Variable):
+            return f"?{self._variables[term.name]}"
+        return self._objects[term.name]
+
+    def _typed(self, variables: Iterable[TypedVariable]) -> list[Sexp]:
+        """Declares variables, which have names from then on."""
+        found: list[Sexp] = []
+        for variable in variables:
+            self._variables = names_for(
+                (*((v, v) for v in self._variables), (variable.name, variable.name))
+            )
+            found += [f"?{self._variables[variable.name]}", "-", self._type(variable.types)]
+        return found
+
+    def _type(self, types: Sequence[str]) -> Sexp:
+        names: list[Sexp] = [self._types[each] for each in types]
+        return names[0] if len(names) == 1 else ["either", *names]
 
 
-def _atom(atom: GroundAtom) -> str:
-    return f"({' '.join((atom.predicate, *atom.arguments))})"
+def _name(name: str) -> str:
+    return names_for([(name, name)])[name]
 
 
-def _change(before: State, after: State) -> str:
-    """The effect that leads from one state to another; empty if they are the same."""
-    added = [_atom(a) for a in sorted(after - before, key=str)]
-    removed = [f"(not {_atom(a)})" for a in sorted(before - after, key=str)]
-    return _both(removed + added) if removed or added else ""
+def _objects_in(formula: Formula, found: set[str]) -> None:
+    """Add the objects that a formula names."""
+    match formula:
+        case Atom(_, arguments):
+            found.update(t.name for t in arguments if not isinstance(t, Variable))
+        case Equality(left, right):
+            found.update(t.name for t in (left, right) if not isinstance(t, Variable))
+        case Not(inner) | Exists(_, inner) | ForAll(_, inner) | Count(_, inner):
+            _objects_in(inner, found)
+        case And(formulas) | Or(formulas):
+            for each in formulas:
+                _objects_in(each, found)
+        case Implies(left, right):
+            _objects_in(left, found)
+            _objects_in(right, found)
 
 
-def _shares(chances: Mapping[str, float]) -> dict[str, str]:
-    """The chances as texts whose sum is at most 1."""
+def _all(parts: list[Sexp]) -> Sexp:
+    return parts[0] if len(parts) == 1 else ["and", *parts]
+
+
+def _pay(expression: Expression | None, sign: int = 1) -> Iterator[Sexp]:
+    """The effect that pays so much, unless it is 0."""
+    value = sign * value_of(expression)
+    text = number_text(abs(value))
+    if text != "0":
+        yield ["increase" if value > 0 else "decrease", ["reward"], text]
+
+
+# ------------------------------------------------------------------------------------------ numbers
+
+
+def number_text(value: float) -> str:
+    """A number that is not negative, in decimals that fit a fraction of 32-bit integers."""
+    digits = DIGITS if value < 100 else max(DIGITS - 1 - int(math.log10(value)), 0)
+    text = f"{value:.{digits}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def shares(chances: Sequence[float], *, whole: bool) -> list[str]:
+    """Probabilities as texts whose sum is at most 1, and exactly 1 with ``whole``.
+
+    As fractions where decimals won't do and all have a small common denominator.
+    """
     unit = 10**DIGITS
-    whole = {change: round(chance * unit) for change, chance in chances.items()}
-    largest = max(whole, key=whole.__getitem__)
-    whole[largest] -= max(sum(whole.values()) - unit, 0)
-    return {change: _number(count / unit) for change, count in whole.items()}
+    counts = [round(chance * unit) for chance in chances]
+    if any(abs(n / unit - chance) > 1e-12 for n, chance in zip(counts, chances, strict=True)):
+        fractions = [Fraction(chance).limit_denominator(1000) for chance in chances]
+        parts = math.lcm(*(fraction.denominator for fraction in fractions))
+        exact = all(abs(f - c) < 1e-12 for f, c in zip(fractions, chances, strict=True))
+        if exact and parts <= MOST_PARTS and sum(fractions) <= 1:
+            return [str(fraction) for fraction in fractions]
+    largest = counts.index(max(counts))
+    excess = sum(counts) - unit
+    if excess > 0 or whole:
+        counts[largest] -= excess
+    return [number_text(n / unit) for n in counts]
 
 
-def _number(value: float) -> str:
-    return f"{value:.{DIGITS}f}".rstrip("0").rstrip(".")
+# ------------------------------------------------------------------------------------------- layout
 
 
-def _both(parts: Sequence[str]) -> str:
-    return parts[0] if len(parts) == 1 else f"(and {' '.join(parts)})" if parts else "(and)"
+def _comment(text: str, indent: int = 0) -> Iterator[str]:
+    for line in text.splitlines():
+        yield f"{' ' * indent}; {line}".rstrip()
 
 
-def _either(parts: Sequence[str]) -> str:
-    return parts[0] if len(parts) == 1 else f"(or {' '.join(parts)})"
+def _text(expression: Sexp) -> str:
+    if isinstance(expression, str):
+        return expression
+    return f"({' '.join(map(_text, expression))})"
 
 
-def _names(actions: Iterable[GroundAction]) -> dict[GroundAction, str]:
-    """A name for each ground action; ``a(b_c)`` and ``a_b(c)`` get two."""
-    names: dict[GroundAction, str] = {}
-    taken: set[str] = set()
-    for action in actions:
-        plain = name = "_".join((action.action, *action.arguments))
-        number = 1
-        while name.lower() in taken:
-            number += 1
-            name = f"{plain}_{number}"
-        taken.add(name.lower())
-        names[action] = name
-    return names
+def _laid_out(expression: Sexp, indent: int, head: str = "") -> Iterator[str]:
+    """The lines of an expression, on one line where it fits."""
+    space = " " * indent
+    text = f"{space}{head}{_text(expression)}"
+    if len(text) <= WIDTH or isinstance(expression, str):
+        yield text
+        return
+    # What comes before the first list stays on the first line, and so do declared variables.
+    first = next(
+        (i for i, each in enumerate(expression) if i and not isinstance(each, str)), len(expression)
+    )
+    if expression[0] in ("exists", "forall", "when", ":goal") and len(expression) > first + 1:
+        first += 1
+    if expression[0] == "probabilistic":
+        yield f"{space}{head}(probabilistic"
+        for chance, change in zip(expression[1::2], expression[2::2], strict=True):
+            yield from _laid_out(change, indent + 2, f"{_text(chance)} ")
+    else:
+        yield f"{space}{head}({' '.join(map(_text, expression[:first]))}"
+        for each in expression[first:]:
+            yield from _laid_out(each, indent + 2)
+    yield f"{space})"

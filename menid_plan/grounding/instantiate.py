@@ -43,6 +43,7 @@ from menid_plan.model.rules import (
     UniversalEffect,
 )
 from menid_plan.model.strata import is_recursive, strata
+from menid_plan.model.variables import free_variables
 
 # Formulas grounded before giving up: about a minute of work.
 MAX_WORK = 20_000_000
@@ -276,7 +277,7 @@ class Instantiation:
     def _free_variables(self, formula: Formula) -> tuple[str, ...]:
         known = self._free.get(id(formula))
         if known is None:
-            known = self._free[id(formula)] = tuple(sorted(_free_variables(formula)))
+            known = self._free[id(formula)] = tuple(sorted(free_variables(formula)))
             self._kept.append(formula)
         return known
 
@@ -432,24 +433,6 @@ def _lookup(atom: Atom, name: str) -> Lookup:
     is_it = [isinstance(term, Variable) and term.name == name for term in atom.arguments]
     others = ((i, term) for i, term in enumerate(atom.arguments) if not is_it[i])
     return atom.predicate, is_it.index(True), tuple(others)
-
-
-def _free_variables(formula: Formula) -> set[str]:
-    match formula:
-        case Truth():
-            return set()
-        case Atom(_, arguments):
-            return {term.name for term in arguments if isinstance(term, Variable)}
-        case Equality(left, right):
-            return {term.name for term in (left, right) if isinstance(term, Variable)}
-        case Not(operand):
-            return _free_variables(operand)
-        case And(formulas) | Or(formulas):
-            return {name for operand in formulas for name in _free_variables(operand)}
-        case Implies(left, right):
-            return _free_variables(left) | _free_variables(right)
-        case Exists(variables, body) | ForAll(variables, body) | Count(variables, body):
-            return _free_variables(body) - {variable.name for variable in variables}
 
 
 def _changing(domain: Domain) -> set[str]:

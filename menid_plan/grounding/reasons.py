@@ -10,7 +10,6 @@ from menid_plan.grounding.state import Binding, World, binding_text, extended, o
 from menid_plan.model.formulas import (
     And,
     Atom,
-    Constant,
     Count,
     Equality,
     Exists,
@@ -19,42 +18,11 @@ from menid_plan.model.formulas import (
     Implies,
     Not,
     Or,
-    Term,
     Truth,
     TypedVariable,
-    Variable,
 )
 from menid_plan.model.text import formula_text, variables_text
-
-
-def substituted(formula: Formula, binding: Binding) -> Formula:
-    """A formula with the objects that a binding gives in the place of its free variables."""
-
-    def term(t: Term) -> Term:
-        bound = isinstance(t, Variable) and t.name in binding
-        return Constant(binding[t.name]) if bound else t
-
-    match formula:
-        case Truth():
-            return formula
-        case Atom(predicate, arguments):
-            return Atom(predicate, tuple(term(t) for t in arguments))
-        case Equality(left, right):
-            return Equality(term(left), term(right))
-        case Not(operand):
-            return Not(substituted(operand, binding))
-        case And(formulas):
-            return And(tuple(substituted(f, binding) for f in formulas))
-        case Or(formulas):
-            return Or(tuple(substituted(f, binding) for f in formulas))
-        case Implies(premise, conclusion):
-            return Implies(substituted(premise, binding), substituted(conclusion, binding))
-        case Exists(variables, body):
-            return Exists(variables, substituted(body, binding))
-        case ForAll(variables, body):
-            return ForAll(variables, substituted(body, binding))
-        case Count(variables, body, comparison, number):
-            return Count(variables, substituted(body, binding), comparison, number)
+from menid_plan.model.variables import bound, replaced
 
 
 def conjuncts(formula: Formula) -> Iterator[Formula]:
@@ -72,7 +40,7 @@ def failed_conjuncts(
     """The conjuncts of a formula that do not hold: the text of each, and why it does not."""
     return [
         (formula_text(part), why_not(semantics, part, world))
-        for part in conjuncts(substituted(formula, binding))
+        for part in conjuncts(replaced(formula, bound(binding)))
         if not semantics.holds(part, world)
     ]
 
@@ -89,7 +57,7 @@ def why_not(semantics: Semantics, formula: Formula, world: World) -> str:
                 if derived.name == predicate:
                     objects = [object_named(t, UNBOUND) for t in arguments]
                     binding = extended(UNBOUND, derived.parameters, objects)
-                    definition = substituted(derived.formula, binding)
+                    definition = replaced(derived.formula, bound(binding))
                     return f"{text} because {_directly(semantics, definition, world)}"
             return text
         case And():

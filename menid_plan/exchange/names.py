@@ -1,0 +1,34 @@
+"""Names for other languages: legal there, and different where they were different."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Hashable, Iterable
+from typing import TypeVar
+
+_Thing = TypeVar("_Thing", bound=Hashable)
+
+
+def names_for(
+    things: Iterable[tuple[_Thing, str]], reserved: Iterable[str] = (), *, hyphen: bool = True
+) -> dict[_Thing, str]:
+    """A name for each thing, by the name that it would best have.
+
+    Names begin with a letter and go on with letters, digits, ``_`` and (with ``hyphen``) ``-``; two
+    names differ in more than small and capital letters, and none is a reserved word.
+    """
+    taken = {word.lower() for word in reserved}
+    found: dict[_Thing, str] = {}
+    for thing, wanted in things:
+        if thing in found:
+            continue
+        plain = re.sub(r"[^A-Za-z0-9_-]" if hyphen else r"[^A-Za-z0-9_]", "_", wanted)
+        if not re.match(r"[A-Za-z]", plain):
+            plain = f"x{plain}"
+        name, number = plain, 1
+        while name.lower() in taken:
+            number += 1
+            name = f"{plain}_{number}"
+        taken.add(name.lower())
+        found[thing] = name
+    return found
