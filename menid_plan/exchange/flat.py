@@ -7,7 +7,7 @@ there are no derived predicates, no counts, no params, and one environment.
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, replace
 from itertools import chain, count
 
@@ -16,8 +16,6 @@ from menid_plan.grounding.state import Binding, GroundAction, object_named
 from menid_plan.model.domain import Domain, Problem
 from menid_plan.model.expressions import EvaluationError, Expression, Minus, Number, evaluate
 from menid_plan.model.formulas import (
-    FALSE,
-    TRUE,
     And,
     Atom,
     Count,
@@ -30,6 +28,7 @@ from menid_plan.model.formulas import (
     Or,
     Term,
     Truth,
+    conjunction,
 )
 from menid_plan.model.probabilities import fault
 from menid_plan.model.rules import Action, Rule
@@ -116,42 +115,6 @@ def distribution(
 
 
 # ----------------------------------------------------------------------------------------- formulas
-
-
-def negation(formula: Formula) -> Formula:
-    """Not a formula, without a double ``not``."""
-    match formula:
-        case Truth(value):
-            return Truth(not value)
-        case Not(operand):
-            return operand
-    return Not(formula)
-
-
-def conjunction(formulas: Iterable[Formula]) -> Formula:
-    """All of some formulas, flattened, each once."""
-    parts: dict[Formula, None] = {}
-    for formula in formulas:
-        if formula == FALSE:
-            return FALSE
-        inner = formula.formulas if isinstance(formula, And) else (formula,)
-        parts.update(dict.fromkeys(part for part in inner if part != TRUE))
-    if len(parts) < 2:
-        return next(iter(parts), TRUE)
-    return And(tuple(parts))
-
-
-def disjunction(formulas: Iterable[Formula]) -> Formula:
-    """Any of some formulas, flattened, each once."""
-    parts: dict[Formula, None] = {}
-    for formula in formulas:
-        if formula == TRUE:
-            return TRUE
-        inner = formula.formulas if isinstance(formula, Or) else (formula,)
-        parts.update(dict.fromkeys(part for part in inner if part != FALSE))
-    if len(parts) < 2:
-        return next(iter(parts), FALSE)
-    return Or(tuple(parts))
 
 
 def size_of(formula: Formula) -> int:

@@ -14,10 +14,7 @@ from menid_plan.exchange.flat import (
     Call,
     Flat,
     NotExpressibleError,
-    conjunction,
-    disjunction,
     distribution,
-    negation,
     number,
     only_where,
     size_of,
@@ -37,7 +34,17 @@ from menid_plan.model.domain import (
     param_values,
 )
 from menid_plan.model.expressions import EvaluationError, Number
-from menid_plan.model.formulas import Atom, Constant, Formula, GroundAtom, Not, Truth
+from menid_plan.model.formulas import (
+    Atom,
+    Constant,
+    Formula,
+    GroundAtom,
+    Not,
+    Truth,
+    conjunction,
+    disjunction,
+    negation,
+)
 from menid_plan.model.rules import Action, ConditionalEffect, Effect, Literal, Outcome, Rule
 
 # Parts of all formulas together, written out.
@@ -227,7 +234,8 @@ class _Actions:
         self.params, self.formulas = params, formulas
         self.calls: dict[str, Call] = {}
         self.sinks = False
-        self.sunk = unused("sunk", {each.name for each in (*domain.predicates, *domain.derived)})
+        predicates = {p.name for p in domain.predicates} | {p.name for p in domain.derived}
+        self.sunk = unused("sunk", predicates)
         self._chances: dict[tuple[str, str, tuple[str, ...]], list[float]] = {}
 
     def of(self, rules: Sequence[GroundRule]) -> Iterator[Action]:

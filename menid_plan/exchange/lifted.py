@@ -16,10 +16,7 @@ from menid_plan.exchange.flat import (
     Call,
     Flat,
     NotExpressibleError,
-    conjunction,
-    disjunction,
     distribution,
-    negation,
     number,
     only_where,
     size_of,
@@ -53,6 +50,9 @@ from menid_plan.model.formulas import (
     Truth,
     TypedVariable,
     Variable,
+    conjunction,
+    disjunction,
+    negation,
 )
 from menid_plan.model.rules import (
     NOISE,
@@ -119,7 +119,7 @@ class _Lifting:
         self._recursive = {p.name for s in strata(domain) if is_recursive(s) for p in s}
         self._names: set[str] = set()
         self._calls: dict[str, Call] = {}
-        predicates = {each.name for each in (*domain.predicates, *domain.derived)}
+        predicates = {p.name for p in domain.predicates} | {p.name for p in domain.derived}
         self._sunk = unused("sunk", predicates)
         self._sinks = False
 

@@ -109,9 +109,9 @@ class _Writer:
             yield "  )"
         if used:
             yield "  (:constants"
-            for each in d.constants:
-                if each.name in used:
-                    yield f"    {self._objects[each.name]} - {self._types[each.type]}"
+            for thing in d.constants:
+                if thing.name in used:
+                    yield f"    {self._objects[thing.name]} - {self._types[thing.type]}"
             yield "  )"
         yield "  (:predicates"
         for predicate in d.predicates:

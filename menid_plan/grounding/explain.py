@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from itertools import chain, islice
 
 from menid_plan.errors import LimitError
-from menid_plan.grounding.reasons import failed_conjuncts, substituted
+from menid_plan.grounding.reasons import failed_conjuncts
 from menid_plan.grounding.semantics import Semantics
 from menid_plan.grounding.state import (
     SINK,
@@ -23,6 +23,7 @@ from menid_plan.grounding.steps import Covering, Reward, RuleConflict
 from menid_plan.model.formulas import GroundAtom
 from menid_plan.model.rules import Reference, Rule
 from menid_plan.model.text import formula_text, variables_text
+from menid_plan.model.variables import bound, replaced
 
 CANDIDATES_SHOWN = 3
 
@@ -250,7 +251,7 @@ def _reference(
     found = semantics.satisfying(variables, reference.formula, world, binding)
     return ResolvedReference(
         variables=variables_text(variables),
-        formula=formula_text(substituted(reference.formula, binding)),
+        formula=formula_text(replaced(reference.formula, bound(binding))),
         candidates=tuple(extended({}, variables, objects) for objects in found[:CANDIDATES_SHOWN]),
         count=len(found),
     )

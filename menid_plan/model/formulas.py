@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -128,3 +129,39 @@ Quantified: TypeAlias = Exists | ForAll | Count
 
 TRUE = Truth(True)
 FALSE = Truth(False)
+
+
+def negation(formula: Formula) -> Formula:
+    """Not a formula, without a double ``not``."""
+    match formula:
+        case Truth(value):
+            return Truth(not value)
+        case Not(operand):
+            return operand
+    return Not(formula)
+
+
+def conjunction(formulas: Iterable[Formula]) -> Formula:
+    """All of some formulas, flattened, each once."""
+    parts: dict[Formula, None] = {}
+    for formula in formulas:
+        if formula == FALSE:
+            return FALSE
+        inner = formula.formulas if isinstance(formula, And) else (formula,)
+        parts.update(dict.fromkeys(part for part in inner if part != TRUE))
+    if len(parts) < 2:
+        return next(iter(parts), TRUE)
+    return And(tuple(parts))
+
+
+def disjunction(formulas: Iterable[Formula]) -> Formula:
+    """Any of some formulas, flattened, each once."""
+    parts: dict[Formula, None] = {}
+    for formula in formulas:
+        if formula == TRUE:
+            return TRUE
+        inner = formula.formulas if isinstance(formula, Or) else (formula,)
+        parts.update(dict.fromkeys(part for part in inner if part != FALSE))
+    if len(parts) < 2:
+        return next(iter(parts), FALSE)
+    return Or(tuple(parts))

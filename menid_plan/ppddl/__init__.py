@@ -1,0 +1,1 @@
+"""PPDDL, the probabilistic language of planning competitions, read and turned into MENID."""
