@@ -100,7 +100,7 @@ def files_argument(function: _Command) -> _Command:
 
 def task_options(function: _Command) -> _Command:
     """DOMAIN PROBLEM, and options that the command gets as ``which``, TaskOptions."""
-    return _gathered(
+    return gathered(
         function, "which", TaskOptions,
         files_argument,
         click.option("--env", "environment", metavar="NAME",
@@ -119,7 +119,7 @@ def task_options(function: _Command) -> _Command:
 def solving_options(function: _Command) -> _Command:
     """Options that the command gets as ``how``, SolvingOptions."""
     positive = click.FloatRange(0, min_open=True)
-    return _gathered(
+    return gathered(
         function, "how", SolvingOptions,
         click.option("--objective", type=click.Choice(OBJECTIVES),
                      help="What is best; by default as the problem has it."),
@@ -135,9 +135,7 @@ def solving_options(function: _Command) -> _Command:
     )  # fmt: skip
 
 
-def _gathered(
-    function: _Command, name: str, kind: type, *options: Callable[[Any], Any]
-) -> _Command:
+def gathered(function: _Command, name: str, kind: type, *options: Callable[[Any], Any]) -> _Command:
     """A command with these options, of which it gets those that are fields of ``kind`` in one."""
 
     @functools.wraps(function)

@@ -19,16 +19,18 @@ def names_for(
     """
     taken = {word.lower() for word in reserved}
     found: dict[_Thing, str] = {}
+    last: dict[str, int] = {}  # the number behind the last name that was wanted like that
     for thing, wanted in things:
         if thing in found:
             continue
         plain = re.sub(r"[^A-Za-z0-9_-]" if hyphen else r"[^A-Za-z0-9_]", "_", wanted)
         if not re.match(r"[A-Za-z]", plain):
             plain = f"x{plain}"
-        name, number = plain, 1
+        name, number = plain, last.get(plain, 1)
         while name.lower() in taken:
             number += 1
             name = f"{plain}_{number}"
+        last[plain] = number
         taken.add(name.lower())
         found[thing] = name
     return found

@@ -52,11 +52,19 @@ Sexp: TypeAlias = "str | list[Sexp]"
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """The texts of a domain and a problem, and the actions of their actions' names."""
+    """The texts of a domain and a problem, and what the names in them stand for.
+
+    ``predicates`` and ``objects`` have the names that these got; ``calls`` has for the name of each
+    action the names of its parameters, and what it stands for; ``sunk`` is the predicate that holds
+    once noise has led out of the model, empty if it can't.
+    """
 
     domain: str
     problem: str
+    predicates: Mapping[str, str]
+    objects: Mapping[str, str]
     calls: Mapping[str, tuple[tuple[str, ...], Call]]
+    sunk: str = ""
 
 
 def ppddl(flat: Flat) -> Written:
@@ -92,7 +100,9 @@ class _Writer:
             )
             for a in self._domain.actions
         }  # fmt: skip
-        return Written(domain, problem, calls)
+        return Written(
+            domain, problem, self._predicates, self._objects, calls, self.flat.sunk
+        )  # fmt: skip
 
     # --------------------------------------------------------------------------------------- texts
 

@@ -1,111 +1,99 @@
 """PPDDL, state by state: what every reader of the language takes, for problems with few states.
 
-Every ground action becomes an action without parameters. It applies where it applies in a reachable
-state, and says for each of these states what it does there (Younes and Littman 2004 for the language).
+What a ground action does in one reachable state becomes an action without parameters, which applies
+there alone (Younes and Littman 2004 for the language).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from menid_plan.errors import LimitError, MenidError
-from menid_plan.grounding.state import SINK, GroundAction, State
+from menid_plan.errors import LimitError
+from menid_plan.exchange.flat import Call, unused
+from menid_plan.exchange.names import names_for
+from menid_plan.exchange.ppddl import RESERVED, Written, number_text, shares
+from menid_plan.grounding.state import SINK, State
 from menid_plan.mdp.explore import Structure
 from menid_plan.mdp.model import MDP
 from menid_plan.model.domain import Domain, Problem
-from menid_plan.model.formulas import GroundAtom
+from menid_plan.model.formulas import Constant, GroundAtom
 
 MAX_TRANSITIONS = 20_000
-# Readers keep numbers as fractions of 32-bit integers: more digits would overflow them.
-DIGITS = 6
-# The proposition that holds once noise has led out of the model.
-SUNK = GroundAtom("sunk", ())
-_RESERVED = frozenset(
-    "and or not imply exists forall when probabilistic increase decrease assign scale-up scale-down"
-    " either object reward define domain problem goal total-time".split()
-)
 
 
-class NotExpressibleError(MenidError):
-    """The target language can't say something; the message names it."""
-
-    exit_code = 4
-
-
-def ppddl(domain: Domain, problem: Problem, structure: Structure, mdp: MDP) -> tuple[str, str]:
+def ppddl_states(domain: Domain, problem: Problem, structure: Structure, mdp: MDP) -> Written:
     """The texts of domain and problem for the reachable states of a problem.
 
     Actions pay their reward on average, a goal ends an episode; probabilities and rewards have six
     decimals. Discount and horizon have no place in the language and are told in a comment. LimitError
-    above 20,000 transitions, NotExpressibleError for names that the language does not tell apart.
+    above 20,000 transitions.
     """
     if mdp.transitions > MAX_TRANSITIONS:
         raise LimitError(
             f"problem `{problem.name}` has {mdp.transitions} transitions: PPDDL is written state by"
             f" state, up to {MAX_TRANSITIONS} of them"
         )
-    _check_names(p.name for p in domain.predicates)
-    _check_names(thing.name for thing in (*domain.constants, *problem.objects))
     model = _Model(domain, problem, structure, mdp)
-    return "\n".join(model.domain()) + "\n", "\n".join(model.problem()) + "\n"
-
-
-def _check_names(names: Iterable[str]) -> None:
-    seen: dict[str, str] = {}
-    for name in names:
-        low = name.lower()
-        if low in _RESERVED or low == SUNK.predicate:
-            raise NotExpressibleError(f"`{name}` is a word of PPDDL itself: give it another name")
-        if seen.setdefault(low, name) != name:
-            raise NotExpressibleError(
-                f"`{seen[low]}` and `{name}` are one name in PPDDL, which does not tell small from"
-                " capital letters: rename one of them"
-            )
+    return model.written()
 
 
 class _Model:
     def __init__(self, domain: Domain, problem: Problem, structure: Structure, mdp: MDP) -> None:
         self._domain, self._problem, self._mdp = domain, problem, mdp
         states = (structure.state(number) for number in range(mdp.states))
-        self._states: list[State] = [frozenset({SUNK}) if s is SINK else s for s in states]
+        predicates = {p.name for p in domain.predicates}
+        self._sunk = GroundAtom(unused("sunk", predicates))
+        self._states: list[State] = [frozenset({self._sunk}) if s is SINK else s for s in states]
         self._facts = sorted(frozenset().union(*self._states), key=str)
         always = frozenset(self._facts).intersection(*self._states)
         # What tells reachable states from each other.
         self._varying = [fact for fact in self._facts if fact not in always]
-        self._actions: dict[GroundAction, list[tuple[int, int]]] = {}
-        for state in range(mdp.states):
-            for row in range(int(mdp.state_row[state]), int(mdp.state_row[state + 1])):
-                self._actions.setdefault(structure.action(row), []).append((state, row))
+        self._rows = [
+            (state, row, structure.action(row))
+            for state in range(mdp.states)
+            for row in range(int(mdp.state_row[state]), int(mdp.state_row[state + 1]))
+        ]
+        self._names = names_for(
+            ((row, "_".join((a.action, *a.arguments))) for _, row, a in self._rows), RESERVED
+        )
+        used = dict.fromkeys(fact.predicate for fact in self._facts)
+        self._predicates = names_for(((name, name) for name in used), RESERVED)
+        objects = sorted({name for fact in self._facts for name in fact.arguments})
+        self._objects = names_for(((name, name) for name in objects), RESERVED)
+
+    def written(self) -> Written:
+        """The texts, and what the names in them stand for."""
+        calls: dict[str, tuple[tuple[str, ...], Call]] = {
+            self._names[row].lower(): (
+                (),
+                Call(action.action, tuple(map(Constant, action.arguments))),
+            )
+            for _, row, action in self._rows
+        }
+        domain, problem = ("\n".join(lines) + "\n" for lines in (self.domain(), self.problem()))
+        sunk = self._sunk.predicate if self._sunk in self._facts else ""
+        return Written(domain, problem, self._predicates, self._objects, calls, sunk)
 
     def domain(self) -> Iterator[str]:
         d = self._domain
-        objects = sorted({name for fact in self._facts for name in fact.arguments})
         arities = {fact.predicate: len(fact.arguments) for fact in self._facts}
         yield f"; {d.name}, as far as {self._problem.name} reaches it, state by state"
-        yield f"(define (domain {d.name})"
+        yield f"(define (domain {_name(d.name)})"
         yield "  (:requirements :adl :probabilistic-effects :rewards)"
-        if objects:
-            yield f"  (:constants {' '.join(objects)})"
+        if self._objects:
+            yield f"  (:constants {' '.join(self._objects.values())})"
         yield "  (:predicates"
         for name, arity in arities.items():
-            yield f"    ({' '.join([name, *(f'?x{k}' for k in range(1, arity + 1))])})"
+            variables = (f"?x{k}" for k in range(1, arity + 1))
+            yield f"    ({' '.join([self._predicates[name], *variables])})"
         yield "  )"
-        names = _names(self._actions)
-        for action, places in self._actions.items():
-            yield f"  ; {action}"
-            yield f"  (:action {names[action]}"
+        for state, row, _ in self._rows:
+            yield f"  (:action {self._names[row]}"
             yield "    :parameters ()"
-            where = _either([self._condition(state) for state, _ in places])
-            yield f"    :precondition {where}"
-            effects = []
-            for state, row in places:
-                effect = self._effect(state, row)
-                if len(places) > 1:
-                    effect = f"(when {self._condition(state)}\n        {effect})"
-                effects.append(effect)
-            yield f"    :effect {_both(effects)})"
+            yield f"    :precondition {self._condition(state)}"
+            yield f"    :effect {self._effect(state, row)})"
         yield ")"
 
     def problem(self) -> Iterator[str]:
@@ -114,9 +102,9 @@ class _Model:
             yield f"; discount {mdp.discount:g}"
         if mdp.horizon is not None:
             yield f"; horizon {mdp.horizon}"
-        yield f"(define (problem {p.name})"
-        yield f"  (:domain {self._domain.name})"
-        yield f"  (:init {' '.join(_atom(a) for a in sorted(self._states[0], key=str))})"
+        yield f"(define (problem {_name(p.name)})"
+        yield f"  (:domain {_name(self._domain.name)})"
+        yield f"  (:init {' '.join(self._atom(a) for a in sorted(self._states[0], key=str))})"
         if mdp.has_goal:
             reached = np.flatnonzero(mdp.goal).tolist()
             # A goal that can't be reached is what never holds.
@@ -127,7 +115,19 @@ class _Model:
 
     def _condition(self, state: int) -> str:
         holds = self._states[state]
-        return _both([_atom(f) if f in holds else f"(not {_atom(f)})" for f in self._varying])
+        return _both(
+            [self._atom(f) if f in holds else f"(not {self._atom(f)})" for f in self._varying]
+        )
+
+    def _atom(self, atom: GroundAtom) -> str:
+        names = (self._objects[name] for name in atom.arguments)
+        return f"({' '.join((self._predicates[atom.predicate], *names))})"
+
+    def _change(self, before: State, after: State) -> str:
+        """The effect that leads from one state to another; empty if they are the same."""
+        added = [self._atom(a) for a in sorted(after - before, key=str)]
+        removed = [f"(not {self._atom(a)})" for a in sorted(before - after, key=str)]
+        return _both(removed + added) if removed or added else ""
 
     def _effect(self, state: int, row: int) -> str:
         mdp = self._mdp
@@ -136,44 +136,27 @@ class _Model:
         for after, chance in zip(
             mdp.next_state[span].tolist(), mdp.row_probabilities(row).tolist(), strict=True
         ):
-            change = _change(self._states[state], self._states[after])
+            change = self._change(self._states[state], self._states[after])
             chances[change] = chances.get(change, 0.0) + chance
         chances.pop("", None)  # what is left of 1 is no change
         parts = []
         if chances:
-            shares = _shares(chances)
-            choices = " ".join(f"{shares[change]} {change}" for change in chances)
-            certain = len(chances) == 1 and float(*shares.values()) == 1
+            whole = sum(chances.values()) > 1 - 1e-9
+            texts = shares(list(chances.values()), whole=whole)
+            choices = " ".join(
+                f"{text} {change}" for text, change in zip(texts, chances, strict=True)
+            )
+            certain = len(chances) == 1 and whole
             parts.append(next(iter(chances)) if certain else f"(probabilistic {choices})")
-        reward = round(float(mdp.row_reward[row]), DIGITS)
-        if reward:
-            word = "increase" if reward > 0 else "decrease"
-            parts.append(f"({word} (reward) {_number(abs(reward))})")
+        reward = float(mdp.row_reward[row])
+        text = number_text(abs(reward))
+        if text != "0":
+            parts.append(f"({'increase' if reward > 0 else 'decrease'} (reward) {text})")
         return _both(parts)
 
 
-def _atom(atom: GroundAtom) -> str:
-    return f"({' '.join((atom.predicate, *atom.arguments))})"
-
-
-def _change(before: State, after: State) -> str:
-    """The effect that leads from one state to another; empty if they are the same."""
-    added = [_atom(a) for a in sorted(after - before, key=str)]
-    removed = [f"(not {_atom(a)})" for a in sorted(before - after, key=str)]
-    return _both(removed + added) if removed or added else ""
-
-
-def _shares(chances: Mapping[str, float]) -> dict[str, str]:
-    """The chances as texts whose sum is at most 1."""
-    unit = 10**DIGITS
-    whole = {change: round(chance * unit) for change, chance in chances.items()}
-    largest = max(whole, key=whole.__getitem__)
-    whole[largest] -= max(sum(whole.values()) - unit, 0)
-    return {change: _number(count / unit) for change, count in whole.items()}
-
-
-def _number(value: float) -> str:
-    return f"{value:.{DIGITS}f}".rstrip("0").rstrip(".")
+def _name(name: str) -> str:
+    return names_for([(name, name)])[name]
 
 
 def _both(parts: Sequence[str]) -> str:
@@ -182,18 +165,3 @@ def _both(parts: Sequence[str]) -> str:
 
 def _either(parts: Sequence[str]) -> str:
     return parts[0] if len(parts) == 1 else f"(or {' '.join(parts)})"
-
-
-def _names(actions: Iterable[GroundAction]) -> dict[GroundAction, str]:
-    """A name for each ground action; ``a(b_c)`` and ``a_b(c)`` get two."""
-    names: dict[GroundAction, str] = {}
-    taken: set[str] = set()
-    for action in actions:
-        plain = name = "_".join((action.action, *action.arguments))
-        number = 1
-        while name.lower() in taken:
-            number += 1
-            name = f"{plain}_{number}"
-        taken.add(name.lower())
-        names[action] = name
-    return names

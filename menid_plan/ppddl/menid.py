@@ -254,19 +254,7 @@ class _Import:
                 ]
                 return self._rows(task.Together(tuple(every)), variables, condition, span)
             case task.Together(effects):
-                found = [nothing]
-                for each in effects:
-                    others = self._rows(each, variables, condition, span)
-                    if len(found) * len(others) > MAX_ROWS:
-                        raise TooLargeError(
-                            "effects that are independent of each other make more than"
-                            f" {MAX_ROWS} outcomes", span,
-                        )  # fmt: skip
-                    found = [
-                        _Row(a.chance * b.chance, (*a.changes, *b.changes), (*a.pays, *b.pays))
-                        for a, b in product(found, others)
-                    ]
-                return found
+                return self._together(effects, variables, condition, span)
             case task.Chance(choices):
                 found = [
                     row._replace(chance=row.chance * chance)
@@ -276,6 +264,31 @@ class _Import:
                 rest = 1 - sum((chance for chance, _ in choices), Fraction(0))
                 return [*found, nothing._replace(chance=rest)] if rest else found
         raise AssertionError(effect)
+
+    def _together(
+        self, effects: Iterable[task.Effect], variables: tuple[TypedVariable, ...],
+        condition: Formula, span: Span,
+    ) -> list[_Row]:  # fmt: skip
+        """What all of some effects may do: independent of each other, unless only one may happen."""
+        groups: list[tuple[list[Formula], list[_Row]]] = []
+        for each in effects:
+            rows = self._rows(each, variables, condition, span)
+            where = each.condition if isinstance(each, task.When) else TRUE
+            for number, (conditions, others) in enumerate(groups):
+                if all(_exclude(where, one) for one in conditions):
+                    groups[number] = ([*conditions, where], _in_step(others, rows))
+                    break
+            else:
+                groups.append(([where], rows))
+        found = [_Row(Fraction(1), (), ())]
+        for _, rows in groups:
+            if len(found) * len(rows) > MAX_ROWS:
+                raise TooLargeError(
+                    f"effects that are independent of each other make more than {MAX_ROWS} outcomes",
+                    span,
+                )
+            found = [_both(a, b, a.chance * b.chance) for a, b in product(found, rows)]
+        return found
 
     def _tuples(self, variables: Sequence[TypedVariable], span: Span) -> list[tuple[str, ...]]:
         ranges = [
@@ -347,11 +360,20 @@ class _Import:
         keys = list(
             dict.fromkeys(p.key for row in table.rows for p in row.pays if p.key != _ALWAYS)
         )
-        every = [self._cases(key, action.span) for key in keys]
-        if math.prod(map(len, every)) > MAX_CASES:
-            raise TooLargeError(f"its rewards tell more than {MAX_CASES} cases apart", action.span)
+        cases: list[tuple[tuple[int, Formula], ...]] = [()]
+        for key in keys:
+            cases = [
+                (*case, (n, where))
+                for case in cases
+                for n, where in self._cases(key, action.span)
+                if not any(_exclude(where, other) for _, other in case)
+            ]
+            if len(cases) > MAX_CASES:
+                raise TooLargeError(
+                    f"its rewards tell more than {MAX_CASES} cases apart", action.span
+                )
         taken = [v.name for v in action.parameters]
-        for case in product(*every):
+        for case in cases:
             times = dict(zip(keys, (n for n, _ in case), strict=True)) | {_ALWAYS: 1}
             where = conjunction(
                 [action.condition, table.condition, *(condition for _, condition in case)]
@@ -507,6 +529,46 @@ def _expression(value: Fraction) -> Expression:
     if rest == 1 or max(value.numerator, value.denominator) >= 10**15:
         return Number(float(value))
     return Arithmetic("/", Number(float(value.numerator)), Number(float(value.denominator)))
+
+
+def _both(first: _Row, second: _Row, chance: Fraction) -> _Row:
+    """What happens if both do."""
+    return _Row(chance, (*first.changes, *second.changes), (*first.pays, *second.pays))
+
+
+def _in_step(first: Sequence[_Row], second: Sequence[_Row]) -> list[_Row]:
+    """The rows of two effects of which only one can happen: one draw may decide for either."""
+    found = []
+    i = j = 0
+    left, right = first[0].chance, second[0].chance
+    while True:
+        chance = min(left, right)
+        if chance:
+            found.append(_both(first[i], second[j], chance))
+        left, right = left - chance, right - chance
+        if not left:
+            i += 1
+            if i == len(first):
+                return found
+            left = first[i].chance
+        if not right and j + 1 < len(second):
+            j += 1
+            right = second[j].chance
+
+
+def _exclude(first: Formula, second: Formula) -> bool:
+    """Whether it is plain to see that two conditions never hold together."""
+    ours = first.formulas if isinstance(first, And) else (first,)
+    theirs = second.formulas if isinstance(second, And) else (second,)
+    if any(negation(part) in theirs for part in ours):
+        return True
+    named = {(e.left, e.right) for e in ours if isinstance(e, Equality)}
+    return any(
+        isinstance(e, Equality)
+        and isinstance(e.right, Constant)
+        and any(v == e.left and isinstance(c, Constant) and c != e.right for v, c in named)
+        for e in theirs
+    )
 
 
 def _has_chance(effect: task.Effect) -> bool:
