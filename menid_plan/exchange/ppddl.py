@@ -184,10 +184,11 @@ class _Writer:
 
     def _action(self, action: Action) -> Iterator[str]:
         (rule,) = action.rules
-        self._variables = names_for((v.name, v.name) for v in action.parameters)
+        self._variables = {}
+        parameters = self._typed(action.parameters)
         yield from _comment(action.doc, 2)
         yield f"  (:action {self._actions[action.name]}"
-        yield f"    :parameters ({_text(self._typed(action.parameters))[1:-1]})"
+        yield f"    :parameters {_text(parameters)}"
         yield from _laid_out(self._formula(rule.condition), 4, ":precondition ")
         yield from _laid_out(self._effect(action, rule), 4, ":effect ")
         yield "  )"
@@ -282,13 +283,12 @@ class _Writer:
         return self._objects[term.name]
 
     def _typed(self, variables: Iterable[TypedVariable]) -> list[Sexp]:
-        """Declares variables, which have names from then on."""
+        """Declares variables, which have names from then on that nothing around them has."""
         found: list[Sexp] = []
         for variable in variables:
-            self._variables = names_for(
-                (*((v, v) for v in self._variables), (variable.name, variable.name))
-            )
-            found += [f"?{self._variables[variable.name]}", "-", self._type(variable.types)]
+            (name,) = names_for([(0, variable.name)], self._variables.values()).values()
+            self._variables = {**self._variables, variable.name: name}
+            found += [f"?{name}", "-", self._type(variable.types)]
         return found
 
     def _type(self, types: Sequence[str]) -> Sexp:
