@@ -36,6 +36,7 @@ ALLOWED = {
     "policy": {"errors", "grounding", "mdp", "solving", "simulation"},
     "policy_file": {"errors", "language", "grounding", "model", "solving", "policy"},
     "planning": {"errors", "model", "grounding", "mdp", "solving", "policy", "simulation"},
+    "ppddl": {"source", "errors", "resources", "model", "language"},
     "exchange": {
         "charts",
         "source",
@@ -83,6 +84,7 @@ ALLOWED = {
         "mdp",
         "solving",
         "exchange",
+        "ppddl",
         "experience",
         "environments",
         "planning",
@@ -98,7 +100,7 @@ ALLOWED = {
 }
 # Which packages from elsewhere are imported in one place only.
 ONLY_IN = {
-    "lark": {"menid_plan.language.grammar"},
+    "lark": {"menid_plan.language.grammar", "menid_plan.ppddl.syntax"},
     "click": {"menid_plan.cli"},
     "llvmlite": {"menid_plan.compiled"},
     "numba": {"menid_plan.compiled"},

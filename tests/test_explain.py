@@ -18,6 +18,7 @@ from menid_plan.model.domain import DerivedPredicate, Domain, Environment, Probl
 from menid_plan.model.formulas import FALSE, TRUE, Count, Exists, Formula, Implies, Not
 from menid_plan.model.rules import Action, Rule
 from menid_plan.model.text import formula_text
+from menid_plan.model.variables import bound, replaced
 from models import (
     add,
     at_least,

@@ -7,7 +7,7 @@ import click
 from menid_plan.cli.groups import LazyGroup
 
 _LANGUAGES = {
-    "ppddl": "PPDDL: a domain and a problem, state by state.",
+    "ppddl": "PPDDL: a domain and a problem.",
 }
 
 

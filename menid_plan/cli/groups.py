@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping
+from keyword import iskeyword
 from typing import Any
 
 import click
@@ -12,7 +13,8 @@ import click
 class LazyGroup(click.Group):
     """``commands`` tells for each name what is said of it; the module MODULE + NAME holds it.
 
-    The module has the function ``command``; a dash in the name is an underscore there.
+    The module has the function ``command``; a dash in the name is an underscore there, and a word of
+    Python's has an underscore behind it.
     """
 
     def __init__(
@@ -36,7 +38,8 @@ class LazyGroup(click.Group):
         """The command of that name, loaded now."""
         if cmd_name not in self._texts:
             return None
-        found = importlib.import_module(self._module + cmd_name.replace("-", "_")).command
+        name = f"{cmd_name}_" if iskeyword(cmd_name) else cmd_name.replace("-", "_")
+        found = importlib.import_module(self._module + name).command
         assert isinstance(found, click.Command)
         return found
 

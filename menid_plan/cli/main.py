@@ -28,6 +28,7 @@ _COMMANDS = {
     "ground": "Count states and transitions; write the explicit model.",
     "fmt": "Bring files into the canonical layout.",
     "hdd": "Make meshes and record outcomes of the hard drive.",
+    "import": "Translate a model of other planners into MENID.",
     "init": "Write a commented domain and problem to start from.",
     "simulate": "Draw episodes under a policy, and print what they earn.",
     "solve": "Find the best policy, with bounds on its value.",
