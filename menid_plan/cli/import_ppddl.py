@@ -24,8 +24,9 @@ def command(files: tuple[str, ...], problem: str | None, folder: Path) -> None:
     """Translate a PPDDL domain and problem, in one file or in two, into MENID."""
     from menid_plan.language.files import decode, load, parse_text, shown_name
     from menid_plan.language.write import write
-    from menid_plan.ppddl.menid import TooLargeError, menid
+    from menid_plan.ppddl.menid import menid
     from menid_plan.ppddl.read import read
+    from menid_plan.ppddl.tables import TooLargeError
 
     paths = [folder / "domain.menid", folder / "problem.menid"]
     distinct_outputs(files, folder)
