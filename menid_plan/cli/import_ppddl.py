@@ -43,10 +43,10 @@ def command(files: tuple[str, ...], problem: str | None, folder: Path) -> None:
     assert result.domain is not None
     assert result.problem is not None
     try:
-        documents = menid(result.domain, result.problem)
+        domain, made, _ = menid(result.domain, result.problem)
     except TooLargeError as error:
         raise InputError([error.diagnostic]) from error
-    texts = [write(document) for document in documents]
+    texts = [write(domain), write(made)]
     # What is written can be read: a fault of ours is better told here than in the next command.
     parse_text(texts[1], parse_text(texts[0]).domain)
     folder.mkdir(exist_ok=True)

@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from itertools import chain, count
+from typing import NamedTuple
 
 from menid_plan.language.grammar import lexer
 from menid_plan.model.domain import (
@@ -75,7 +76,15 @@ from menid_plan.source import Span
 MAX_CASES = 256
 
 
-def menid(domain: task.PddlDomain, problem: task.PddlProblem) -> tuple[Domain, Problem]:
+class Imported(NamedTuple):
+    """A domain and a problem in MENID, and what their objects are called there."""
+
+    domain: Domain
+    problem: Problem
+    objects: Mapping[str, str]
+
+
+def menid(domain: task.PddlDomain, problem: task.PddlProblem) -> Imported:
     """The domain and problem in MENID; TooLargeError for an action with too many outcomes."""
     return _Import(domain, problem).documents()
 
@@ -94,7 +103,7 @@ class _Import:
         self._actions = _named((a.name for a in domain.actions), words)
         self._named_objects: set[str] = set()
 
-    def documents(self) -> tuple[Domain, Problem]:
+    def documents(self) -> Imported:
         """The domain and the problem."""
         d, p = self.domain, self.problem
         goal = None if p.goal is None else self.formula(told_apart(p.goal, ()))
@@ -130,7 +139,7 @@ class _Import:
             (), state_rewards, actions,
         )  # fmt: skip
         reward = p.goal_reward * p.sign if p.metric not in (STEPS, ACHIEVED) else 0
-        return made, Problem(
+        problem = Problem(
             _named([p.name], lexer().reserved_words)[p.name], made.name, (),
             tuple(self._object(o) for o in everything if o.name not in constants),
             tuple(
@@ -142,6 +151,7 @@ class _Import:
             goal,
             _expression(Fraction(reward)) if reward else None,
         )  # fmt: skip
+        return Imported(made, problem, self._objects)
 
     def _object(self, thing: Object) -> Object:
         return Object(self._objects[thing.name], self._types[thing.type])
