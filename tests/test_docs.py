@@ -9,6 +9,7 @@ The first line of a code block says what is done with it:
     ```menid fragment=KIND in=FILE      a part, tried inside a kept file; KIND is one of FRAMES,
                                         with="x: block" declares what the part may name
     ```menid fragment                   a part that is not tried
+    ```text name=model.pddl             not run, and kept under that name
     ```python                           a doctest if it has `>>>`, else executed
     ```console                          lines after `$ ` are run, what they print is compared;
                                         exit=3 is the exit code of the last one
@@ -284,6 +285,8 @@ def test_every_block_of_a_page(page: Path) -> None:
                 run_console(block)
             else:
                 assert block.language in NOT_RUN, f"what is a ```{block.language} block?"
+                if "name" in block.options:
+                    Path(block.options["name"]).write_text(block.text, encoding="utf-8")
         except Exception as error:  # all faults of a page at once
             wrong.append(f"{block}: {error}")
     assert not wrong, "\n\n".join(wrong)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 from click.testing import Result
 
 import menid_plan
+from conftest import ROOT
 from menid_plan.language.write import write
 from menid_plan.model.domain import Domain, Problem
 from menid_plan.planning import Task
@@ -331,3 +333,10 @@ def test_the_command(menid: Callable[..., Result], tmp_path: Path) -> None:
     assert wrong.exit_code == 3
     assert "d.pddl:6:62: error[P201]: unknown predicate `t`" in wrong.stderr
     assert not (tmp_path / "other").exists()
+
+
+def test_the_page_has_every_code() -> None:
+    source = "\n".join(p.read_text() for p in (ROOT / "menid_plan" / "ppddl").glob("*.py"))
+    page = (ROOT / "docs" / "ppddl.md").read_text()
+    codes = sorted(set(re.findall(r"\bP[0-9]{3}\b", source)))
+    assert re.findall(r"^\| (P[0-9]{3}) \|", page, re.MULTILINE) == codes

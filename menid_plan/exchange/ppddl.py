@@ -297,7 +297,7 @@ class _Writer:
 
 
 def _name(name: str) -> str:
-    return names_for([(name, name)])[name]
+    return names_for([(name, name)], RESERVED)[name]
 
 
 def _objects_in(formula: Formula, found: set[str]) -> None:

@@ -156,7 +156,7 @@ class _Model:
 
 
 def _name(name: str) -> str:
-    return names_for([(name, name)])[name]
+    return names_for([(name, name)], RESERVED)[name]
 
 
 def _both(parts: Sequence[str]) -> str:
