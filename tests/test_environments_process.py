@@ -20,6 +20,7 @@ from conftest import ROOT
 from menid_plan.environments.check import check
 from menid_plan.environments.interface import CannotResetError, EnvironmentFailedError
 from menid_plan.environments.process import Process
+from menid_plan.environments.program import Program
 from menid_plan.environments.registry import EnvironmentSpec
 from menid_plan.environments.runfile import read_run_file
 from menid_plan.environments.session import Session
@@ -264,6 +265,19 @@ def test_closing_ends_the_program_and_all_that_it_started(tmp_path: Path) -> Non
     for pid in pids:
         wait_until(lambda pid=pid: not is_alive(pid), 10)
     session.close()
+
+
+def test_a_program_that_ended_before_it_is_asked_is_not_waited_for(tmp_path: Path) -> None:
+    program = Program([sys.executable, "-c", "import sys; sys.exit('no licence')"], tmp_path)
+    try:
+        wait_until(lambda: not program._lines.empty())
+        for _ in range(2):
+            with pytest.raises(
+                EnvironmentFailedError, match=r"ended with exit code 1[^$]*no licence"
+            ):
+                program.ask(b"{}\n", 60)
+    finally:
+        program.close()
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the kernel can't do that here")

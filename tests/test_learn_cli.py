@@ -533,10 +533,11 @@ def test_the_real_clock(levers: Menid) -> None:
     begun = time.monotonic()
     first = json.loads(learn(levers, "--json").stdout)
     assert 0.54 <= first["seconds"] <= time.monotonic() - begun
-    # An hour is an hour: after a break there is nothing left of it.
+    # An hour is an hour: after a break there is nothing left of it, but perhaps the time from the end
+    # of the last step to where the loop looked at the clock.
     time.sleep(0.1)
     again = json.loads(learn(levers, "--json", "--resume").stdout)
-    assert again["steps"] == first["steps"]
+    assert again["steps"] - first["steps"] in (0, 1)
     assert 0.54 <= again["seconds"] <= first["seconds"] + 0.01
     more = json.loads(learn(levers, "--json", "--resume", "--hours", "0.0003").stdout)
     assert 1.08 <= more["seconds"] < 1.6

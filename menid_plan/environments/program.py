@@ -64,7 +64,11 @@ class Program:
 
         Raises EnvironmentFailedError, with the end of what the program said on standard error.
         """
-        if not self._lines.empty() and (stray := self._lines.get()) is not None:
+        if not self._lines.empty():
+            stray = self._lines.get()
+            if stray is None:  # it has ended by itself, and there will never be an answer
+                self._lines.put(None)
+                raise EnvironmentFailedError(self._ending())
             raise EnvironmentFailedError(f"a line that was not asked for: {quoted(stray)}")
         self._requests.put(line)
         try:
@@ -74,6 +78,7 @@ class Program:
                 f"no answer within {timeout:g} s{self.last_words()}"
             ) from None
         if answer is None:
+            self._lines.put(None)
             raise EnvironmentFailedError(self._ending())
         if len(answer) > MAX_LINE:
             raise EnvironmentFailedError(
