@@ -45,6 +45,30 @@ def test_check_finds_nothing_wrong(arguments: list[str], menid: Menid, files: Pa
     }
 
 
+def test_check_tells_once_of_a_rule_s_blocks_for_other_problems(menid: Menid, files: Path) -> None:
+    head = """domain d
+type lamp
+predicate on(lamp)
+action press(l: lamp) {
+  rule press per l {
+    outcomes { lit: on(l) still: nothing }
+"""
+    blocks = "".join(
+        f"    observed target for {n} {{ lit: 1 }}\n" for n in ("a1", "a2", "a3", "a4", "a5")
+    )
+    tail = "  }\n}\nproblem p for d\nobject "
+    (files / "many.menid").write_text(head + blocks + tail + "a1: lamp\n")
+    slip = "    observed target for desklamp { lit: 1 }\n"
+    (files / "one.menid").write_text(head + slip + tail + "desk-lamp: lamp\n")
+    many, one = (menid("check", f"{name}.menid") for name in ("many", "one"))
+    assert many.exit_code == one.exit_code == 0
+    assert many.output.count("M502") == one.output.count("M502") == 1
+    assert "has blocks for `a2`, `a3`, `a4` and 1 more, which are no objects" in many.output
+    assert "hint: the blocks are kept, and not used" in many.output
+    assert "has a block for `desklamp`, which is no object of this problem" in one.output
+    assert "hint: did you mean `desk-lamp`?" in one.output
+
+
 def test_check_json_has_lines_and_columns_from_1(menid: Menid, files: Path) -> None:
     (files / "both.menid").write_text("domain d\npredicate p(objct)\nderived q = p\n")
     result = menid("check", "--json", "both.menid")

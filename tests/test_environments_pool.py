@@ -30,6 +30,7 @@ from menid_plan.environments.pool import (
     in_order,
 )
 from menid_plan.environments.process import Process
+from menid_plan.environments.recorded import Recorded
 from menid_plan.environments.registry import EnvironmentSpec
 from menid_plan.environments.simulated import Simulated
 from menid_plan.errors import MenidError
@@ -115,6 +116,17 @@ def test_after_so_many_retries_it_is_given_up(expected: list[Execution], workers
         )
         assert [f.result() for f in futures[1::2]] == expected[1:4:2]
         assert pool.counts["coarse"] == Counts(executions=2, errors=4, given_up=2)
+
+
+def test_what_was_not_recorded_is_not_asked_for_again(tmp_path: Path) -> None:
+    (tmp_path / "seen.jsonl").write_text('{"state": [], "action": "lever(n8)", "after": []}\n')
+    failures: list[Failure] = []
+    bank = spec(Recorded("seen.jsonl"), folder=tmp_path)
+    with Pool([bank], 0, failed=failures.append) as pool:
+        with pytest.raises(ExecutionFailedError, match="nothing was recorded"):
+            submitted(pool, 1)[0].result()
+        assert pool.counts["coarse"] == Counts(errors=1, given_up=1)
+    assert len(failures) == 1
 
 
 def test_an_environment_that_does_not_start() -> None:

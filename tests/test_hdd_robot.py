@@ -37,7 +37,7 @@ from menid_plan.environments.hdd.film import film
 from menid_plan.environments.hdd.kind import Deviations, HddRobot, Perception
 from menid_plan.environments.hdd.lever import Lever
 from menid_plan.environments.hdd.robot import RobotEnvironment
-from menid_plan.environments.hdd.scene import TABLE
+from menid_plan.environments.hdd.scene import TABLE, Scene
 from menid_plan.environments.hdd.shake import Shake
 from menid_plan.environments.hdd.suck import Suck
 from menid_plan.environments.interface import EnvironmentFailedError
@@ -177,6 +177,27 @@ def test_the_arm_levers_and_sucks() -> None:
     assert names(outcome("lever", "n5", **quiet)) == {"in"}
     assert names(outcome("suck", "centre", "strong", **quiet)) == {"on-table"}
     assert names(outcome("suck", "centre", "weak", **quiet)) == {"in"}
+
+
+def test_the_arm_goes_back_with_a_lever_that_did_not_go_in() -> None:
+    found = environment(noise=0.0)
+    reached: list[float] = []
+
+    def watch(scene: Scene) -> None:
+        if scene.reached is not None:
+            reached.append(scene.reached)
+
+    found.after_step = watch
+    ends = {}
+    for place in ("n5", "n8"):
+        reached.clear()
+        found.reset(None, 1)
+        found.execute(GroundAction("lever", (place,)))
+        ends[place] = (max(reached), reached[-1])
+    # At n5 it does not get further than inside, and ends where it began; at n8 it ends at the end.
+    assert ends["n8"][0] == ends["n8"][1]
+    assert ends["n5"][0] < ends["n8"][0] / 2
+    assert ends["n5"][1] < 0.1 * ends["n5"][0]
 
 
 def test_a_shake_that_frees_the_board_is_too_fast_for_the_arm() -> None:

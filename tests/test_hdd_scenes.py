@@ -591,7 +591,15 @@ def test_the_best_action_is_filmed(tmp_path: Path) -> None:
 def test_with_the_best_action_none_is_given(tmp_path: Path) -> None:
     found = render(tmp_path, "lever(n8)", "--best", "-o", str(tmp_path / "best.png"))
     assert found.exit_code == 2
-    assert "there is no file `lever(n8)`" in found.output
+    assert "--best stands in place of an action: leave out `lever(n8)`" in found.output
+
+
+def test_an_action_that_is_missing_is_asked_for(tmp_path: Path) -> None:
+    out = str(tmp_path / "x.png")
+    arguments = [*DRIVE, "--run", str(ROOT / "domains/hdd/simulated.toml"), "-o", out]
+    found = CliRunner().invoke(main, ["render", *arguments])
+    assert found.exit_code == 2
+    assert "give DOMAIN, PROBLEM and ACTION, or --best in place of an action" in found.output
 
 
 def test_without_a_screen_there_is_no_window(

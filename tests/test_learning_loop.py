@@ -109,10 +109,10 @@ def test_the_trace_of_algorithm_1(stage: Stage) -> None:
         "12.0,0.0,0,0,3,test",
         "42.0,-1.0,1,0,3,step",
         "54.0,-1.0,1,0,6,test",
-        "84.0,8.0,2,0,6,step",
+        "84.0,8.0,2,1,6,step",
     ]
-    assert rows[-1] == "228.0,24.0,6,2,12,step"
-    assert run.loop.progress.successes == 2  # the last one is not over before the next one begins
+    assert rows[-1] == "228.0,24.0,6,3,12,step"
+    assert run.loop.progress.successes == 3
 
 
 def test_another_action_may_become_the_best_by_a_test(stage: Stage) -> None:
@@ -276,7 +276,7 @@ def test_noise_and_what_follows_from_it(stage: Stage) -> None:
     ]  # fmt: skip
     assert stored(stage.folder / "run")[0].after == NOT_HERE
     # Nothing applies there, so it is a dead end.
-    assert (run.loop.progress.episodes, run.loop.progress.successes) == (1, 0)
+    assert (run.loop.progress.episodes, run.loop.progress.successes) == (2, 1)
     assert "noise:  1" in (stage.folder / "run" / "learned.menid").read_text(encoding="utf-8")
 
 
@@ -329,6 +329,13 @@ def test_episodes_end_at_goals_and_dead_ends(stage: Stage) -> None:
         "bench finish breaks",
     ]  # fmt: skip
     assert (run.loop.progress.episodes, run.loop.progress.successes) == (2, 1)
+
+
+def test_an_episode_that_ends_with_the_last_step_counts(stage: Stage) -> None:
+    run = stage.run(stage.kind("moves", "works"), {}, steps=2, test_time=0.0)
+    assert (run.loop.progress.episodes, run.loop.progress.successes) == (1, 1)
+    lines = (run.folder / "curve.csv").read_text().splitlines()
+    assert [line.split(",")[2:4] for line in lines[1:]] == [["1", "0"], ["2", "1"]]
 
 
 def test_episodes_end_after_some_steps(stage: Stage) -> None:

@@ -21,6 +21,7 @@ from menid_plan.cli.common import (
 )
 from menid_plan.cli.evidence import evidence_of
 from menid_plan.cli.experiences import files_of, store_in
+from menid_plan.cli.tasks import tell_written
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -100,6 +101,8 @@ def command(
 
         with opened(output) as stream:
             stream.write(write(learned_domain(evidence, roles)))
+        if str(output) != "-":
+            tell_written([output], err=True)
     seen = {(key.action, key.rule) for key in keys}
     unseen = [
         f"{action.name}.{rule.name}"

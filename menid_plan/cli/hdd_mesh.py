@@ -27,7 +27,7 @@ _ENDINGS = ("obj", "stl", "ply")
 )  # fmt: skip
 @click.option(
     "--quality", type=float, required=True, metavar="Q",
-    help="The share of a scan's vertices that is kept, 0.001 to 0.1.",
+    help="The share of the vertices of a dense scan that is kept, 0.001 to 0.1.",
 )  # fmt: skip
 @click.option(
     "--scan", type=click.Path(exists=True, dir_okay=False, path_type=Path), metavar="FILE",

@@ -64,10 +64,15 @@ def command(files: tuple[str, ...], run_file: str, executions: int, path: Path, 
         must_go_on_with(store, bound)
         if store.seed != seed:
             raise click.UsageError(f"{path} was recorded with --seed {store.seed}: go on with it")
-        found = record(
-            bound, store, executions, seed, run.workers.number, told,
-            lambda failure: click.echo(str(failure), err=True),
-            lambda message: click.echo(f"menid: {message}", err=True),
-        )  # fmt: skip
+        try:
+            found = record(
+                bound, store, executions, seed, run.workers.number, told,
+                lambda failure: click.echo(str(failure), err=True),
+                lambda message: click.echo(f"menid: {message}", err=True),
+            )  # fmt: skip
+        except KeyboardInterrupt:
+            click.echo("menid: the same command goes on where this one was interrupted", err=True)
+            raise
+        there = sum(1 for _ in store)
     left = f"; {found.failed} failed each time and are left out" if found.failed else ""
-    click.echo(f"{path}: {found.recorded} executions{left}")
+    click.echo(f"{path}: {there} executions{left}")

@@ -65,8 +65,10 @@ def command(
     if output is not None and kind not in ("gif", "mp4", "png"):
         raise click.UsageError(f"{output}: the file's ending must be .gif, .mp4 or .png")
     files = given if best else given[:-1]
-    if not files:
+    if not files or (not best and Path(given[-1]).is_file()):
         raise click.UsageError("give DOMAIN, PROBLEM and ACTION, or --best in place of an action")
+    if best and "(" in given[-1] and not Path(given[-1]).exists():
+        raise click.UsageError(f"--best stands in place of an action: leave out `{given[-1]}`")
     for file in files:
         if file != "-" and not Path(file).is_file():
             raise click.UsageError(f"there is no file `{file}`")

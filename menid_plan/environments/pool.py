@@ -19,6 +19,7 @@ from menid_plan.environments.interface import (
     Capabilities,
     EnvironmentFailedError,
     Execution,
+    NotRecordedError,
 )
 from menid_plan.environments.lanes import HereLane, Lane, LocalLane
 from menid_plan.environments.registry import EnvironmentSpec
@@ -270,6 +271,8 @@ class Pool:
                     Failure(spec.name, task.action, future.number, attempt, trouble, message)
                 )
                 self._note(failures[-1])
+                if isinstance(error, NotRecordedError):
+                    break  # nor is it there the next time
         self._add(spec.name, given_up=1)
         raise ExecutionFailedError(failures)
 

@@ -129,25 +129,47 @@ class ProblemChecker(FormulaChecker, Declarations):
         """Warns of blocks for objects that this problem lacks: they are kept, and not used."""
         if self.report.knows_errors:
             return
+        unused: dict[tuple[str, str], list[tuple[str, Span | None]]] = {}
+        used: set[str] = set()
         seen: set[str] = set()
         for action in domain.actions:
             types = {v.name: v.types for v in action.parameters}
             for rule in action.rules:
                 for block in (*rule.probabilities, *rule.observed):
                     for parameter, value in zip(rule.per, block.values, strict=False):
-                        if value not in seen and not self._fits(value, types.get(parameter, ())):
+                        if self._fits(value, types.get(parameter, ())):
+                            used.add(value)
+                        elif value not in seen:
                             seen.add(value)
-                            self._unused(f"{action.name}.{rule.name}", value, block.span or place)
+                            given = self.names.objects.get(value, "")
+                            key = (f"{action.name}.{rule.name}", given)
+                            unused.setdefault(key, []).append((value, block.span))
+        for (rule_name, given), values in unused.items():
+            self._unused(rule_name, given, values, used, place)
 
     def _fits(self, value: str, types: Types) -> bool:
         given = self.names.objects.get(value)
         return given is not None and self.names.fits((given,), types)
 
-    def _unused(self, rule: str, value: str, place: Span | Token) -> None:
-        given = self.names.objects.get(value)
-        what = "no object of this problem" if given is None else f"a `{given}` here"
-        close = self.report.similar(value, list(self.names.objects)) if given is None else None
+    def _unused(
+        self, rule: str, given: str, values: list[tuple[str, Span | None]], used: set[str],
+        place: Token,
+    ) -> None:  # fmt: skip
+        """One warning for all such blocks of a rule, where the first of them stands."""
+        names = [name for name, _ in values]
+        listed = ", ".join(f"`{name}`" for name in names[:3])
+        if len(names) == 1:
+            what = f"a `{given}` here" if given else "no object of this problem"
+            message = f"rule {rule} has a block for {listed}, which is {what}"
+            hint = "the block is kept, and not used"
+        else:
+            listed += f" and {len(names) - 3} more" if len(names) > 3 else ""
+            what = f"of the type `{given}` here" if given else "no objects of this problem"
+            message = f"rule {rule} has blocks for {listed}, which are {what}"
+            hint = "the blocks are kept, and not used"
+        # What is like an object with blocks of its own is no slip of the pen.
+        others = [name for name in self.names.objects if name not in used]
+        close = self.report.similar(names[0], others) if len(names) == 1 and not given else None
         self.report.warning(
-            "M502", f"rule {rule} has a block for `{value}`, which is {what}", place,
-            f"did you mean `{close}`?" if close else "the block is kept, and not used",
-        )  # fmt: skip
+            "M502", message, values[0][1] or place, f"did you mean `{close}`?" if close else hint
+        )

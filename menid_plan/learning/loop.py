@@ -230,6 +230,8 @@ class Loop:
         self.clock.spend(experience.duration)
         self.state = experience.after
         self._episode_step += 1
+        if self._episode_is_final():  # not left to the next round, which a run may not have
+            self._end_episode("an episode is over")
         self._point("step")
 
     def _learn(self, experience: Experience) -> None:
@@ -281,10 +283,13 @@ class Loop:
 
         That ends it only where nothing counts without the goal, by the objective.
         """
+        return self._episode_is_final() or self.planner.is_hopeless(self.state, self._left)
+
+    def _episode_is_final(self) -> bool:
+        """Whether it is over, whatever was learned."""
         return (
             self._semantics.is_final(self.state, self._episode_step)
             or self._episode_step >= self.settings.episode_steps
-            or self.planner.is_hopeless(self.state, self._left)
         )
 
     def _end_episode(self, reason: str) -> None:

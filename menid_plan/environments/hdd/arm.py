@@ -206,7 +206,8 @@ class Motion:
     def show(self, scene: Scene, arm: int, stand: int) -> None:
         """Bend an arm in a scene as it is now, and put it and what it stands on where they belong."""
         world = scene.world
-        now = np.clip(world.time - scene.began, 0.0, self.times[-1])
+        reached = world.time - scene.began if scene.reached is None else scene.reached
+        now = np.clip(reached, 0.0, self.times[-1])
         world.bend(arm, CubicSpline(self.times, self.joints)(now), self.task.open)
         # A drive that is shaken stands still in its own frame.
         back = Rotation.from_euler("x", -scene.frame_angle)

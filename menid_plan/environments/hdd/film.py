@@ -86,9 +86,11 @@ def film(environment: HddEnvironment, action: GroundAction, state: State | None,
     # A computation that is repeated begins at time 0 again.
     start = max(k for k, t in enumerate(camera.times) if k == 0 or t < camera.times[k - 1])
     pictures, times = camera.pictures[start:], camera.times[start:]
+    # What atoms hold is known of a board at rest.
+    atoms = [f"before: {state_text(before)}"] * (len(times) - 1) + [f"after: {state_text(after)}"]
     captioned = [
-        _captioned(p, f"{action}   {t:.2f} s", state_text(after if k == len(times) - 1 else before))
-        for k, (p, t) in enumerate(zip(pictures, times, strict=True))
+        _captioned(picture, f"{action}   {t:.2f} s", each)
+        for picture, t, each in zip(pictures, times, atoms, strict=True)
     ]
     return Film(captioned, after)
 

@@ -68,11 +68,11 @@ class Perception:
 class Hdd:
     """Executes lever, shake and suck on a hard drive, in PyBullet.
 
-    ``quality`` is the share of a scan's vertices that the meshes keep, 0.001 to 0.1. ``noise`` scales
-    all ``deviations`` of trajectories and surfaces; 0: none. ``board`` and ``bay`` are scans of your
-    own (STL, OBJ, PLY; in mm) instead of the designed parts. ``friction`` and ``restitution`` are those
-    between board and bay, ``gravity`` is in m/s^2, ``force`` in N what the hand with the lever can do.
-    ``cup``: "seal" is a model of how its lip seals, "soft" a cup of rubber in finite elements.
+    ``quality`` is the share of a dense scan's vertices that the meshes keep, 0.001 to 0.1. ``noise``
+    scales all ``deviations`` of trajectories and surfaces; 0: none. ``board`` and ``bay`` are scans of
+    your own (STL, OBJ, PLY; in mm) instead of the designed parts. ``friction`` and ``restitution`` are
+    those between board and bay, ``gravity`` is in m/s^2, ``force`` in N what the hand with the lever
+    can do. ``cup``: "seal" is a model of how its lip seals, "soft" a cup of rubber in finite elements.
     ``step`` (s), ``iterations``, ``threshold`` and ``margin`` (mm) are PyBullet's.
     """
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from menid_plan.environments.hdd.engine import Pose, Surface, Vector
+from menid_plan.environments.hdd.engine import Surface, Vector
 from menid_plan.environments.hdd.geometry import CLEARANCE, SLOT_FLOOR, WALL
 from menid_plan.environments.hdd.hand import STEADY, Hand, Path
 from menid_plan.environments.hdd.scene import BLUE, Scene, eased
@@ -110,19 +110,20 @@ def lever(scene: Scene, action: Lever, hand: Hand = STEADY) -> None:
     )  # fmt: skip
     held = world.hold(tool, start, action.force)
 
-    def follow(poses: Iterable[Pose], force: float) -> None:
-        for pose in poses:
-            world.move(held, pose, force)
+    def follow(knots: Iterable[int], force: float) -> None:
+        for k in knots:
+            world.move(held, path[k], force)
+            scene.reached = float(times[k])
             scene.step()
 
     gentle = min(GENTLE, action.force)
     inside = round(INSERT * hand.stretch / world.dt)
-    follow((path[k] for k in range(inside)), gentle)
+    follow(range(inside), gentle)
     missed = world.pose(tool).position - path[inside].position
     if np.linalg.norm(missed) < REACHED:
-        follow((path[k] for k in range(inside, len(times) - 1)), action.force)
+        follow(range(inside, len(times) - 1), action.force)
     else:  # the hand feels that the lever did not go in, and takes it back
         number = round(WITHDRAW * hand.stretch / world.dt)
         back = np.linspace(inside, 0, number, endpoint=False).round().astype(int)
-        follow((path[k] for k in back), gentle)
+        follow(back, gentle)
     scene.rest()

@@ -122,13 +122,14 @@ class Source:
 def wanted_vertices(part: str, quality: float) -> int:
     """How many vertices a quality asks for; MeshError if it is out of range.
 
-    A quality is the share of a scan's vertices that are kept, counted against fixed numbers: 331,000
-    for the board and 518,300 for the bay (Suárez-Hernández et al. 2021, whose scans had as many).
+    A quality is the share of a dense scan's vertices that are kept, counted against fixed numbers:
+    331,000 for the board and 518,300 for the bay (Suárez-Hernández et al. 2021, whose scans had as
+    many).
     """
     if not LOWEST <= quality <= HIGHEST:  # also for nan
         raise MeshError(
-            f"quality {quality:g} is out of range: it is the share of a scan's vertices that is kept,"
-            f" from {LOWEST:g} to {HIGHEST:g}"
+            f"quality {quality:g} is out of range: it is the share of the vertices of a dense scan that"
+            f" is kept, from {LOWEST:g} to {HIGHEST:g}"
         )
     return round(quality * geometry.FULL_VERTICES[part])
 

@@ -100,6 +100,8 @@ class Scene:
         # How far the frame in which all of this is computed is turned, in rad: for pictures.
         self.frame_angle = 0.0
         self.began = math.inf  # when the action began, in s
+        # How far it has come in the tool's motion, in s, if that is not the time since it began.
+        self.reached: float | None = None
 
     def __enter__(self) -> Scene:
         return self
