@@ -8,7 +8,7 @@ there are no derived predicates, no counts, no params, and one environment.
 from __future__ import annotations
 
 from collections.abc import Container, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain, count
 
 from menid_plan.errors import MeaningError, MenidError
@@ -23,6 +23,7 @@ from menid_plan.model.formulas import (
     Exists,
     ForAll,
     Formula,
+    GroundAtom,
     Implies,
     Not,
     Or,
@@ -65,12 +66,14 @@ class Flat:
     """A flat problem, and what each of its actions stands for, by the flat action's name.
 
     ``sunk`` is the predicate that holds once noise has led out of the model; empty if it can't.
+    ``facts`` has what predicates stand for that are propositions.
     """
 
     domain: Domain
     problem: Problem
     calls: Mapping[str, Call]
     sunk: str = ""
+    facts: Mapping[str, GroundAtom] = field(default_factory=dict)
 
 
 # ------------------------------------------------------------------------------------------ numbers

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable, Iterable, Mapping
 from typing import TypeVar
 
 _Thing = TypeVar("_Thing", bound=Hashable)
@@ -34,3 +34,12 @@ def names_for(
         taken.add(name.lower())
         found[thing] = name
     return found
+
+
+def changed(names: Mapping[str, str]) -> dict[str, str]:
+    """Of things and what they are called now, by the new names, those that are not just respelt."""
+    return {
+        new: old
+        for old, new in names.items()
+        if re.sub(r"[^a-z0-9]", "_", old.lower()) != re.sub(r"[^a-z0-9]", "_", new.lower())
+    }
