@@ -168,7 +168,7 @@ def expressions(draw: Draw, world: World, depth: int = 2) -> Expression:
         kinds += ["minus", "sum", "quotient"]
     kind = draw(st.sampled_from(kinds))
     if kind == "number":
-        return Number(draw(st.sampled_from([0.0, 1.0, 2.5, 10.0, 0.001, 1e-7, 1e22, 123456.789])))
+        return Number(draw(st.sampled_from([0.0, 1.0, 2.5, 10.0, 0.001, 1e-7, 123456.789])))
     if kind == "param":
         return ParamName(draw(st.sampled_from(world.params)))
     below = expressions(world, depth - 1)

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 
+import menid_plan.exchange.grounded
+import menid_plan.exchange.lifted
 from menid_plan.errors import LimitError, MeaningError
 from menid_plan.exchange.flat import Flat, NotExpressibleError
 from menid_plan.exchange.grounded import grounded
@@ -63,6 +65,16 @@ def test_rules_that_keep_their_own_numbers() -> None:
     compare(domain, problem, flat, "stay", 100)
 
 
+@pytest.fixture
+def brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give up early on formulas that grow large: to compare those takes minutes."""
+    monkeypatch.setattr(menid_plan.exchange.lifted, "MAX_SIZE", 300)
+    monkeypatch.setattr(menid_plan.exchange.lifted, "MAX_COUNTED", 4)
+    monkeypatch.setattr(menid_plan.exchange.grounded, "MAX_SIZE", 20_000)
+    monkeypatch.setattr(menid_plan.exchange.grounded, "MAX_FORMULA", 5_000)
+
+
+@pytest.mark.usefixtures("brief")
 @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
 @given(domains_with_problems())
 def test_generated_problems(documents: tuple[Domain, Problem]) -> None:

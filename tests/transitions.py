@@ -85,7 +85,7 @@ def assert_same(one: Transitions, other: Transitions, chance: float, reward: flo
     assert one.rows.keys() == other.rows.keys()
     for key, (paid, after) in one.rows.items():
         paid_too, after_too = other.rows[key]
-        assert paid == pytest.approx(paid_too, abs=reward), key
+        assert paid == pytest.approx(paid_too, rel=1e-9, abs=reward), key
         assert after.keys() == after_too.keys(), key
         for state, probability in after.items():
             assert probability == pytest.approx(after_too[state], abs=chance), key
