@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from textwrap import indent
 
 from menid_plan.exchange.classes import inhabited
-from menid_plan.exchange.flat import Call, Flat, value_of
+from menid_plan.exchange.flat import Call, Flat
 from menid_plan.exchange.names import changed
 from menid_plan.exchange.rddl_model import (
     APPLIED,
@@ -201,7 +201,7 @@ class _Writer:
             )
             kind = self.names[f"outcomes {action.name}"]
             table = f"\n  Discrete({kind},\n{indent(rows, '    ')})\n "
-            last = f"KronDelta(@{self._value(action, outcomes[-1][1])})"
+            last = f"@{self._value(action, outcomes[-1][1])}"
             done = words.formula(model.does(action, "act"))
             prime = "'" if model.two_phases else ""
             yield f"{self.names[f'outcome {action.name}']}{prime} = {when(done, table, last)};"
@@ -234,31 +234,28 @@ class _Writer:
 
     def _reward(self) -> str:
         model, words = self.model, self.words
-        terms = [(value, when(words.formula(where))) for value, where in model.payments()]
-        states = [
-            (value_of(each.reward), self._bindings(each))
-            for each in model.domain.rewards
-            if value_of(each.reward)
-        ]
+        terms = [(value, words.formula(where)) for value, where in model.payments()]
+        taken, states = model.state_payments()
         if states:
-            # Paid for each step that is taken; where it is over, none is.
-            terms.append((1.0, when(words.formula(model.some), total(states))))
+            # Where it is over, no step is taken.
+            sums = total((value, self._bindings(each)) for value, each in states)
+            terms.append((1.0, f"{words.formula(taken)} * {sums}"))
         for value, where in model.ends():
             if model.two_phases:
                 condition = words.formula(conjunction([Atom(APPLIED), where]))
             else:
                 now, then = words.formula(model.some), words.formula(where, primed=True)
                 condition = infix("^", [now, then])
-            terms.append((value, when(condition)))
+            terms.append((value, condition))
         return total(terms)
 
     def _bindings(self, reward: StateReward) -> str:
         """For how many bindings of its variables the condition of a reward holds."""
         if not reward.variables:
-            return "1.0" if reward.condition == TRUE else when(self.words.formula(reward.condition))
+            return "1.0" if reward.condition == TRUE else self.words.formula(reward.condition)
         with self.words.declared(reward.variables) as (listed, guard):
             condition = conjunction([guard, reward.condition])
-            held = "1.0" if condition == TRUE else when(self.words.formula(condition))
+            held = "1.0" if condition == TRUE else self.words.formula(condition)
             return f"(sum_{{{listed}}} [{held}])"
 
     def _preconditions(self) -> Iterator[str]:

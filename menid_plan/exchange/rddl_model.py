@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 from menid_plan.exchange.classes import Classes, subformulas
 from menid_plan.exchange.flat import Flat, NotExpressibleError, distribution, value_of
-from menid_plan.model.domain import Predicate, objects_by_type
+from menid_plan.model.domain import Predicate, StateReward, objects_by_type
 from menid_plan.model.formulas import (
     FALSE,
     TRUE,
@@ -231,23 +231,29 @@ class Model:
         return value_of(p.goal_reward) if any(map(value_of, paying)) else 1.0
 
     def payments(self) -> list[tuple[float, Formula]]:
-        """What is paid for actions and outcomes, with the condition."""
-        costs: dict[float, list[Formula]] = {}
-        brought: dict[float, list[Formula]] = {}
+        """What is paid for actions and outcomes, with the condition.
+
+        In two phases all is paid in the second: after the last step there is one more first phase, in
+        which the goal is paid for, and nothing else must be.
+        """
+        paid: dict[float, list[Formula]] = {}
         for action in self.actions:
-            costs.setdefault(-value_of(action.cost), []).append(self.does(action, "act"))
             outcomes = self.outcomes(action)
             by_value: dict[float, list[Atom]] = {}
             for _, outcome in outcomes:
-                by_value.setdefault(self._late * value_of(outcome.reward), []).append(
-                    drawn(action, outcome)
-                )
+                value = value_of(outcome.reward) - value_of(action.cost)
+                by_value.setdefault(value, []).append(drawn(action, outcome))
             for value, atoms in by_value.items():
                 chosen = TRUE if len(atoms) == len(outcomes) else disjunction(atoms)
-                done = self.does(action, self.applied)
-                brought.setdefault(value, []).append(conjunction([done, chosen]))
-        every = [*costs.items(), *brought.items()]
-        return [(value, disjunction(formulas)) for value, formulas in every if value]
+                where = conjunction([self.does(action, self.applied), chosen])
+                paid.setdefault(self._late * value, []).append(where)
+        return [(value, disjunction(formulas)) for value, formulas in paid.items() if value]
+
+    def state_payments(self) -> tuple[Formula, list[tuple[float, StateReward]]]:
+        """What is paid for states that steps are taken in, and where such a step is taken."""
+        taken = Atom(APPLYING) if self.two_phases else self.some
+        paid = [(self._late * value_of(each.reward), each) for each in self.domain.rewards]
+        return taken, [(value, each) for value, each in paid if value]
 
     def ends(self) -> list[tuple[float, Formula]]:
         """What is paid for where a step led to, with the condition."""
