@@ -8,6 +8,7 @@ from menid_plan.cli.groups import LazyGroup
 
 _LANGUAGES = {
     "ppddl": "PPDDL: a domain and a problem.",
+    "rddl": "RDDL: a domain and an instance, for PROST or pyRDDLGym.",
 }
 
 

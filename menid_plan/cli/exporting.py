@@ -1,18 +1,22 @@
-"""What the exports share: the probabilities that a store of experiences teaches."""
+"""What the exports share: probabilities that a store teaches, forms of a model, and two files."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from menid_plan.cli.common import load_both
-from menid_plan.cli.tasks import gathered
+from menid_plan.cli.common import distinct_outputs, load_both
+from menid_plan.cli.tasks import gathered, tell_written
+from menid_plan.files import replace_file
 
 if TYPE_CHECKING:
     from menid_plan.model.domain import Domain, Problem
+
+_Text = TypeVar("_Text")
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,3 +63,51 @@ def load_learned(
             f"--env: what a store teaches is about the target of its run, `{target}`"
         )
     return learned_domain(evidence, roles), problem, target
+
+
+def form_option(*forms: tuple[str, str]) -> Callable[[Any], Any]:
+    """An option for each form of a model; the command gets its name, or None, as ``form``."""
+
+    def decorate(function: Any) -> Any:
+        for name, text in reversed(forms):
+            function = click.option(f"--{name}", "form", flag_value=name, help=text)(function)
+        return function
+
+    return decorate
+
+
+def first_form(forms: Sequence[str], write: Callable[[str], _Text]) -> tuple[str, _Text, str]:
+    """The first form in which all can be said, what was written in it, and why not one before."""
+    from menid_plan.errors import LimitError
+    from menid_plan.exchange.flat import NotExpressibleError
+
+    reasons: list[str] = []
+    last: NotExpressibleError | LimitError | None = None
+    for form in forms:
+        try:
+            return form, write(form), reasons[0] if reasons else ""
+        except (NotExpressibleError, LimitError) as error:
+            last = error
+            if str(error) not in reasons:
+                reasons.append(str(error))
+    assert last is not None
+    if len(reasons) < 2:
+        raise last
+    raise NotExpressibleError("; ".join(reasons))
+
+
+def write_texts(files: Iterable[str], folder: Path, texts: Mapping[str, str]) -> None:
+    """Write files into a folder, unless one of them was read."""
+    folder.mkdir(exist_ok=True)
+    paths = [folder / name for name in texts]
+    distinct_outputs(files, *paths)
+    for path, text in zip(paths, texts.values(), strict=True):
+        replace_file(path, text.encode())
+    tell_written(paths, err=False)
+
+
+def tell_renamed(language: str, renamed: Mapping[str, str]) -> None:
+    """Say which names had to be changed."""
+    if renamed:
+        listed = ", ".join(f"`{old}` to `{new}`" for new, old in renamed.items())
+        click.echo(f"menid: renamed, since {language} has other uses for them: {listed}", err=True)

@@ -329,15 +329,16 @@ class _Lifting:
         )
         general = rule.probability_cells(self.environment)
         chances = None if general is None and own else self._chances(action, rule, ())
-        flat = self._named(action, made, rule, chances, condition, {})
+        rows = [self._chances(action, rule, values) for values in own]
+        noisy = any(row[-1] > 0 for row in (*rows, chances or (0.0,)))
+        flat = self._named(action, made, rule, chances, condition, {}, noisy=noisy)
         names = [outcome.name for outcome in flat.rules[0].outcomes]
         blocks = []
-        for values in own:
-            cells = [(Number(p),) for p in self._chances(action, rule, values)]
+        for values, row in zip(own, rows, strict=True):
+            cells = [(Number(p),) for p in row]
             if len(cells) < len(names):
                 cells.append((Number(0.0),))
-            rows = tuple(zip(names, cells, strict=True))
-            blocks.append(Block(("target",), values, rows))
+            blocks.append(Block(("target",), values, tuple(zip(names, cells, strict=True))))
         new = replace(flat.rules[0], per=rule.per, probabilities=tuple(blocks))
         return replace(flat, rules=(new,))
 
@@ -346,15 +347,20 @@ class _Lifting:
 
     def _named(
         self, action: Action, made: Action, rule: Rule, chances: Sequence[float] | None,
-        condition: Formula, terms: Mapping[str, Term],
+        condition: Formula, terms: Mapping[str, Term], *, noisy: bool | None = None,
     ) -> Action:  # fmt: skip
-        """A flat action under a name that no other has, and what it stands for."""
+        """A flat action under a name that no other has, and what it stands for.
+
+        ``noisy``: whether noise can occur, if the chances do not tell.
+        """
+        if noisy is None:
+            noisy = chances is not None and chances[-1] > 0
         name = unused(made.name, self._names)
         self._names.add(name)
         arguments = tuple(put_in(Variable(v.name), terms) for v in action.parameters)
         self._calls[name] = Call(action.name, arguments)
         own = _names(made.parameters)
-        outcomes = tuple(self._outcomes(rule, chances, terms, own))
+        outcomes = tuple(self._outcomes(rule, chances, terms, own, noisy))
         condition = told_apart(condition, own)
         flat = Rule(rule.name, outcomes, condition=condition, doc=rule.doc, span=rule.span)
         cost = number(action.cost, self.params, f"the cost of action `{action.name}`")
@@ -362,7 +368,7 @@ class _Lifting:
 
     def _outcomes(
         self, rule: Rule, chances: Sequence[float] | None, terms: Mapping[str, Term],
-        taken: Sequence[str],
+        taken: Sequence[str], noisy: bool,
     ) -> Iterator[Outcome]:  # fmt: skip
         """Outcomes whose cells are numbers, and whose effects are plain; noise comes last."""
         for index, outcome in enumerate(rule.outcomes):
@@ -373,7 +379,7 @@ class _Lifting:
                 what = f"the reward of outcome `{outcome.name}`"
                 reward = number(outcome.reward, self.params, what)
             name, effects = outcome.name, tuple(self._effects(outcome, terms, taken))
-            if outcome.is_noise and self.noise == "sink" and chance != 0.0:
+            if outcome.is_noise and self.noise == "sink" and noisy:
                 self._sinks = True
                 name = unused("sinks", {each.name for each in rule.outcomes})
                 effects = (Literal(Atom(self._sunk)),)

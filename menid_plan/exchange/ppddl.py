@@ -13,7 +13,7 @@ from fractions import Fraction
 from typing import TypeAlias
 
 from menid_plan.exchange.flat import Call, Flat, NotExpressibleError, value_of
-from menid_plan.exchange.names import names_for
+from menid_plan.exchange.names import changed, names_for
 from menid_plan.model.domain import OBJECT
 from menid_plan.model.expressions import Expression
 from menid_plan.model.formulas import (
@@ -55,8 +55,9 @@ class Written:
     """The texts of a domain and a problem, and what the names in them stand for.
 
     ``predicates`` and ``objects`` have the names that these got; ``calls`` has for the name of each
-    action the names of its parameters, and what it stands for; ``sunk`` is the predicate that holds
-    once noise has led out of the model, empty if it can't.
+    action the names of its parameters, and what it stands for; ``renamed`` has, by the new ones, names
+    that were changed since PPDDL has other uses for them; ``sunk`` is the predicate that holds once
+    noise has led out of the model, empty if it can't.
     """
 
     domain: str
@@ -64,6 +65,7 @@ class Written:
     predicates: Mapping[str, str]
     objects: Mapping[str, str]
     calls: Mapping[str, tuple[tuple[str, ...], Call]]
+    renamed: Mapping[str, str]
     sunk: str = ""
 
 
@@ -101,8 +103,13 @@ class _Writer:
             for a in self._domain.actions
         }  # fmt: skip
         return Written(
-            domain, problem, self._predicates, self._objects, calls, self.flat.sunk
-        )  # fmt: skip
+            domain, problem, self._predicates, self._objects, calls, self._renamed, self.flat.sunk
+        )
+
+    @property
+    def _renamed(self) -> dict[str, str]:
+        given = (self._types, self._predicates, self._objects, self._actions)
+        return {new: old for names in given for new, old in changed(names).items()}
 
     # --------------------------------------------------------------------------------------- texts
 
@@ -110,6 +117,7 @@ class _Writer:
         d = self._domain
         used = self._used_objects()
         yield from _comment(d.doc)
+        yield from _comment("\n".join(f"{n} was called {old}." for n, old in self._renamed.items()))
         yield f"(define (domain {_name(d.name)})"
         yield "  (:requirements :adl :probabilistic-effects :rewards)"
         if d.types:

@@ -12,7 +12,7 @@ import numpy as np
 
 from menid_plan.errors import LimitError
 from menid_plan.exchange.flat import Call, unused
-from menid_plan.exchange.names import names_for
+from menid_plan.exchange.names import changed, names_for
 from menid_plan.exchange.ppddl import RESERVED, Written, number_text, shares
 from menid_plan.grounding.state import SINK, State
 from menid_plan.mdp.explore import Structure
@@ -74,7 +74,8 @@ class _Model:
         }
         domain, problem = ("\n".join(lines) + "\n" for lines in (self.domain(), self.problem()))
         sunk = self._sunk.predicate if self._sunk in self._facts else ""
-        return Written(domain, problem, self._predicates, self._objects, calls, sunk)
+        renamed = {**changed(self._predicates), **changed(self._objects)}
+        return Written(domain, problem, self._predicates, self._objects, calls, renamed, sunk)
 
     def domain(self) -> Iterator[str]:
         d = self._domain

@@ -113,6 +113,8 @@ class _Writer:
         declarations = list(self._declarations())
         types = list(self._types())
         yield from _comment(self.model.domain.doc)
+        given = changed(self.words.given)
+        yield from _comment("\n".join(f"{n} was called {old}." for n, old in given.items()))
         yield f"domain {self._domain_name} {{"
         yield "  requirements = { reward-deterministic };"
         if types:

@@ -58,7 +58,7 @@ class Model:
         self.two_phases = dialect == "prost"
         discount = 1.0 if self.problem.discount is None else self.problem.discount
         self.stop = 1.0 - discount if stopping else 0.0
-        self.discount = 1.0 if stopping else discount
+        self.discount = self._of_step = 1.0 if stopping else discount
         if self.two_phases:
             if self.discount == 0:
                 raise NotExpressibleError(
@@ -259,7 +259,7 @@ class Model:
         """What is paid for where a step led to, with the condition."""
         goal = self.problem.goal or FALSE
         stuck = conjunction([negation(goal), negation(self.applies)])
-        late = self._late * self._late
+        late = 1.0 / self._of_step if self.two_phases else 1.0
         paid = [(self._goal_reward, goal), (value_of(self.problem.dead_end_reward), stuck)]
         return [(late * value, condition) for value, condition in paid if value]
 

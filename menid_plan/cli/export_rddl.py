@@ -1,0 +1,110 @@
+"""`menid export rddl`: domain.rddl and instance.rddl."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from menid_plan.cli.common import distinct_outputs
+from menid_plan.cli.exporting import (
+    first_form,
+    form_option,
+    learned_option,
+    load_learned,
+    tell_renamed,
+    write_texts,
+)
+from menid_plan.cli.tasks import TaskOptions, task_options
+
+if TYPE_CHECKING:
+    from menid_plan.cli.exporting import Learned
+    from menid_plan.exchange.rddl import Dialect, Written
+    from menid_plan.planning import Task
+
+
+@click.command("rddl")
+@task_options
+@learned_option
+@click.option(
+    "--dialect", type=click.Choice(["prost", "pyrddlgym"]), default="prost", show_default=True,
+    help="For PROST, where a step takes two, or for pyRDDLGym alone.",
+)  # fmt: skip
+@click.option(
+    "--horizon", type=click.IntRange(1, 1_000_000), metavar="H",
+    help="How many steps are taken; by default as the problem has it.",
+)  # fmt: skip
+@click.option(
+    "--goal-reward", type=float, metavar="R",
+    help="What reaching the goal pays, in place of what the problem says.",
+)  # fmt: skip
+@click.option(
+    "--stopping", is_flag=True,
+    help="Say the discount as a chance that a step is the last, for planners that ignore it.",
+)  # fmt: skip
+@form_option(
+    ("lifted", "Rules as actions with parameters, or nothing."),
+    ("grounded", "Every ground rule as an action without parameters."),
+)
+@click.option(
+    "-o", "--output", "folder", required=True, metavar="DIR",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="The folder for domain.rddl and instance.rddl.",
+)  # fmt: skip
+def command(
+    files: tuple[str, ...],
+    which: TaskOptions,
+    learned: Learned,
+    dialect: Dialect,
+    horizon: int | None,
+    goal_reward: float | None,
+    stopping: bool,
+    form: str | None,
+    folder: Path,
+) -> None:
+    """Write a problem as RDDL, with the probabilities of one environment.
+
+    They are non-fluents of the instance, which can be changed there. Lifted where that can be said,
+    else grounded, which is told. Exits with 4 for what neither can say.
+    """
+    from menid_plan.model.expressions import Minus, Number
+
+    distinct_outputs(files, folder)
+    domain, problem, environment = load_learned(files, which.environment, learned)
+    if goal_reward is not None:
+        if not math.isfinite(goal_reward):
+            raise click.UsageError(f"--goal-reward: {goal_reward} is not a finite number")
+        if problem.goal is None:
+            raise click.UsageError(f"--goal-reward: problem `{problem.name}` has no goal")
+        reward = Number(goal_reward) if goal_reward >= 0 else Minus(Number(-goal_reward))
+        problem = replace(problem, goal_reward=reward)
+    horizon = horizon or problem.horizon
+    if horizon is None:
+        raise click.UsageError(
+            f"problem `{problem.name}` has no horizon, and RDDL must have one: give --horizon"
+        )
+    task = which.task(domain, problem)
+    task.environment = environment or task.environment
+    steps = horizon
+    made, texts, reason = first_form(
+        [form] if form else ["lifted", "grounded"],
+        lambda form: _written(task, form, dialect, steps, stopping),
+    )
+    if reason:
+        click.echo(f"menid: {made}, since {reason}", err=True)
+    tell_renamed("RDDL", texts.renamed)
+    write_texts(files, folder, {"domain.rddl": texts.domain, "instance.rddl": texts.instance})
+
+
+def _written(task: Task, form: str, dialect: Dialect, horizon: int, stopping: bool) -> Written:
+    from menid_plan.exchange.classes import propositional
+    from menid_plan.exchange.grounded import grounded
+    from menid_plan.exchange.lifted import lifted
+    from menid_plan.exchange.rddl import rddl
+
+    of_task = (task.domain, task.problem, task.environment, task.params, task.noise)
+    flat = lifted(*of_task, split=False) if form == "lifted" else propositional(grounded(*of_task))
+    return rddl(flat, dialect, horizon, stopping=stopping)
