@@ -48,6 +48,7 @@ ALLOWED = {
         "policy",
         "files",
     },
+    "servers": {"errors", "model", "grounding", "exchange", "experience", "environments"},
     "learning": {
         "charts",
         "source",
@@ -85,6 +86,7 @@ ALLOWED = {
         "solving",
         "exchange",
         "ppddl",
+        "servers",
         "experience",
         "environments",
         "planning",

@@ -91,7 +91,7 @@ def command(
     steps = horizon
     made, texts, reason = first_form(
         [form] if form else ["lifted", "grounded"],
-        lambda form: _written(task, form, dialect, steps, stopping),
+        lambda form: written_as(task, form, dialect, steps, stopping=stopping),
     )
     if reason:
         click.echo(f"menid: {made}, since {reason}", err=True)
@@ -99,7 +99,8 @@ def command(
     write_texts(files, folder, {"domain.rddl": texts.domain, "instance.rddl": texts.instance})
 
 
-def _written(task: Task, form: str, dialect: Dialect, horizon: int, stopping: bool) -> Written:
+def written_as(task: Task, form: str, dialect: Dialect, horizon: int, *, stopping: bool) -> Written:
+    """The RDDL of a task in one of its forms, ``lifted`` or ``grounded``."""
     from menid_plan.exchange.classes import propositional
     from menid_plan.exchange.grounded import grounded
     from menid_plan.exchange.lifted import lifted

@@ -96,14 +96,16 @@ def first_form(forms: Sequence[str], write: Callable[[str], _Text]) -> tuple[str
     raise NotExpressibleError("; ".join(reasons))
 
 
-def write_texts(files: Iterable[str], folder: Path, texts: Mapping[str, str]) -> None:
-    """Write files into a folder, unless one of them was read."""
+def write_texts(
+    files: Iterable[str], folder: Path, texts: Mapping[str, str], *, err: bool = False
+) -> None:
+    """Write files into a folder, unless one of them was read, and tell so (``err``: there)."""
     folder.mkdir(exist_ok=True)
     paths = [folder / name for name in texts]
     distinct_outputs(files, *paths)
     for path, text in zip(paths, texts.values(), strict=True):
         replace_file(path, text.encode())
-    tell_written(paths, err=False)
+    tell_written(paths, err=err)
 
 
 def tell_renamed(language: str, renamed: Mapping[str, str]) -> None:

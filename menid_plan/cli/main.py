@@ -30,6 +30,7 @@ _COMMANDS = {
     "hdd": "Make meshes and record outcomes of the hard drive.",
     "import": "Translate a model of other planners into MENID.",
     "init": "Write a commented domain and problem to start from.",
+    "serve": "Let planners of others act in an environment.",
     "simulate": "Draw episodes under a policy, and print what they earn.",
     "solve": "Find the best policy, with bounds on its value.",
     "solvers": "List the installed solvers, and what each promises.",

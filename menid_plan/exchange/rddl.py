@@ -49,8 +49,11 @@ class Written:
 
     ``facts`` has for each predicate, or ground fact, that changes the fluent that stands for it;
     ``objects`` the names of objects; ``actions``, by the name of an action fluent, the names of its
-    parameters and what it stands for. ``renamed`` has, by the new ones, names that were changed since
-    RDDL has other uses for them. ``names`` has all else; see `rddl_words`.
+    parameters and what it stands for, and ``doing`` the fluent that holds in its second phase.
+    ``spaces`` has for each state and action fluent the names of the objects that each argument may be,
+    and ``values`` the values of those that are no propositions, the usual one last. ``renamed`` has, by
+    the new ones, names that were changed since RDDL has other uses for them. ``names`` has all else;
+    see `rddl_words`.
     """
 
     domain: str
@@ -59,6 +62,9 @@ class Written:
     facts: Mapping[str | GroundAtom, str]
     objects: Mapping[str, str]
     actions: Mapping[str, tuple[tuple[str, ...], Call]]
+    doing: Mapping[str, str]
+    spaces: Mapping[str, tuple[tuple[str, ...], ...]]
+    values: Mapping[str, tuple[str, ...]]
     renamed: Mapping[str, str]
     names: Mapping[str, str]
     sunk: str = ""
@@ -98,10 +104,34 @@ class _Writer:
                 )
                 for a in model.actions
             },
+            {names[f"act {a.name}"]: names[f"doing {a.name}"] for a in model.actions},
+            dict(self._spaces()),
+            {
+                names[f"outcome {a.name}"]: tuple(self._value(a, o) for _, o in outcomes)
+                for a, outcomes in self._drawing()
+            },
             changed(self.words.given),
             names,
             model.flat.sunk,
         )  # fmt: skip
+
+    def _spaces(self) -> Iterator[tuple[str, tuple[tuple[str, ...], ...]]]:
+        model = self.model
+        ranges = {p.name: p.arguments for p in model.dynamic}
+        ranges |= dict.fromkeys(model.flags, ())
+        ranges |= {f"act {a.name}": tuple(_ranges(a)) for a in model.actions}
+        if model.two_phases:
+            ranges |= {f"doing {a.name}": tuple(_ranges(a)) for a in model.actions}
+            ranges |= {f"outcome {a.name}": () for a, _ in self._drawing()}
+        for key, types in ranges.items():
+            of = (model.classes.of[each[0]] for each in types)
+            yield self.names[key], tuple(tuple(self._members(each)) for each in of)
+
+    def _members(self, name: str) -> list[str]:
+        """The names of the objects of a class."""
+        model = self.model
+        found = (o.name for o in model.objects if model.classes.of[o.type] == name)
+        return [self.names[f"object {each}"] for each in found]
 
     # -------------------------------------------------------------------------------------- domain
 
@@ -284,13 +314,7 @@ class _Writer:
         objects = [
             f"{self.names[f'class {each}']} : {{{', '.join(members)}}};"
             for each in self.words.classes
-            if (
-                members := [
-                    self.names[f"object {o.name}"]
-                    for o in model.objects
-                    if model.classes.of[o.type] == each
-                ]
-            )
+            if (members := self._members(each))
         ]
         constant = list(self._constant())
         yield from _comment(model.problem.doc)

@@ -1,0 +1,1 @@
+"""Servers that let planners of others act in an environment."""
