@@ -49,6 +49,7 @@ ALLOWED = {
         "files",
     },
     "servers": {"errors", "model", "grounding", "exchange", "experience", "environments"},
+    "planners": {"errors", "exchange", "environments", "servers"},
     "learning": {
         "charts",
         "source",
@@ -87,6 +88,7 @@ ALLOWED = {
         "exchange",
         "ppddl",
         "servers",
+        "planners",
         "experience",
         "environments",
         "planning",

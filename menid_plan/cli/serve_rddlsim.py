@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from menid_plan.cli.common import load_both, setting_option
-from menid_plan.cli.exporting import first_form, form_option
+from menid_plan.cli.exporting import environment_spec, first_form, form_option
 from menid_plan.cli.tasks import files_argument
 
 if TYPE_CHECKING:
@@ -79,33 +78,16 @@ def command(
     """
     from menid_plan.cli.export_rddl import written_as
     from menid_plan.cli.exporting import write_texts
-    from menid_plan.environments.registry import EnvironmentSpec
-    from menid_plan.environments.runfile import read_run_file
     from menid_plan.environments.seeds import seed_of
-    from menid_plan.environments.simulated import Simulated
     from menid_plan.planning import Task
     from menid_plan.servers.listen import HOST, listening, sessions
     from menid_plan.servers.play import Player
     from menid_plan.servers.rddlsim import Session
 
     domain, problem = load_both(files)
-    steps = horizon or problem.horizon
-    if steps is None:
-        raise click.UsageError(
-            f"problem `{problem.name}` has no horizon, and RDDL must have one: give --horizon"
-        )
-    problem = replace(problem, horizon=steps)
-    if run_file is None:
-        spec = EnvironmentSpec(name or domain.target, Simulated(), domain, problem, params=settings)
-    else:
-        bound = read_run_file(run_file).bind(domain, problem, settings)
-        names = [each.name for each in bound.environments]
-        if name is not None and name not in names:
-            listed = ", ".join(names)
-            raise click.UsageError(f"{run_file} has no environment `{name}`; it has {listed}")
-        wanted = name or bound.target.name
-        spec = next(each for each in bound.environments if each.name == wanted)
-        spec = replace(spec, problem=problem)
+    spec = environment_spec(domain, problem, run_file, name, settings, horizon)
+    problem, steps = spec.problem, spec.problem.horizon
+    assert steps is not None
     task = Task(domain, problem, spec.name, settings)
     made, texts, reason = first_form(
         [form] if form else ["lifted", "grounded"],

@@ -1,0 +1,1 @@
+"""Planners of others: which there are, and how they are run."""

@@ -1,0 +1,123 @@
+"""A planner of others plays rounds: our server, its process, its time, and what it says."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from menid_plan.exchange.rddl import Written
+from menid_plan.planners.known import Planner, PlannerMissingError
+from menid_plan.servers.listen import HOST, listening
+from menid_plan.servers.play import Results
+from menid_plan.servers.wire import Wire
+
+# Seconds that a planner may take to end once the session has.
+GRACE = 10.0
+TAIL = 2000  # bytes of what it printed that are shown if it failed
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What came of it: the session's results, why it failed (empty if it did not), the last output."""
+
+    results: Results | None
+    failure: str
+    output: str
+
+
+def run(planner: Planner, written: Written, play: Callable[[Wire], Results], seconds: float) -> Run:
+    """Start a planner in a folder of its own, and let it play; it ends after so many seconds.
+
+    Raises PlannerMissingError if its program can't be started. What it exits with counts for nothing:
+    PROST says 0 where it failed.
+    """
+    with (
+        tempfile.TemporaryDirectory(prefix="menid-planner-", ignore_cleanup_errors=True) as name,
+        listening(0) as server,
+        ThreadPoolExecutor(1) as threads,
+    ):
+        folder = Path(name)
+        (folder / "domain.rddl").write_text(written.domain, encoding="utf-8")
+        (folder / "instance.rddl").write_text(written.instance, encoding="utf-8")
+        for file in planner.files:
+            (folder / Path(file).name).symlink_to(Path(file).absolute())
+        instance = re.search(r"^instance (\S+) \{", written.instance, re.MULTILINE)
+        assert instance is not None
+        places = {
+            "folder": name, "domain": str(folder / "domain.rddl"),
+            "instance": str(folder / "instance.rddl"), "name": instance[1], "host": HOST,
+            "port": str(server.getsockname()[1]),
+        }  # fmt: skip
+        command = planner.filled(places)
+        with (folder / "output").open("wb") as output:
+            try:
+                process = subprocess.Popen(  # noqa: S603 - what the user declared
+                    command, cwd=folder, stdin=subprocess.DEVNULL, stdout=output,
+                    stderr=subprocess.STDOUT, start_new_session=True,
+                )  # fmt: skip
+            except OSError as error:
+                raise PlannerMissingError(f"`{command[0]}`: {error.strerror}") from error
+        until = time.monotonic() + seconds
+        connection = None
+        try:
+            connection = _accepted(server, process, until)
+            results = None
+            if connection is not None:
+                session = threads.submit(play, Wire(connection, seconds))
+                while not session.done() and time.monotonic() < until:
+                    time.sleep(0.02)
+                if session.done():
+                    results = session.result()
+                    with suppress(subprocess.TimeoutExpired):
+                        process.wait(min(GRACE, max(until - time.monotonic(), 0.1)))
+            failure = _failure(results, connection is not None, process, until, seconds)
+        finally:
+            # All that it started; the session sees that it is gone, and ends.
+            with suppress(ProcessLookupError, PermissionError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            if connection is not None:
+                with suppress(OSError):
+                    connection.shutdown(socket.SHUT_RDWR)
+                connection.close()
+        text = (folder / "output").read_bytes()[-TAIL:].decode(errors="replace")
+    return Run(results, failure, text)
+
+
+def _accepted(
+    server: socket.socket, process: subprocess.Popen[bytes], until: float
+) -> socket.socket | None:
+    """The planner's connection; None if it ended, or did not ask in time."""
+    server.settimeout(0.1)
+    while time.monotonic() < until:
+        with suppress(TimeoutError):
+            connection, _ = server.accept()
+            return connection
+        if process.poll() is not None:
+            return None
+    return None
+
+
+def _failure(
+    results: Results | None,
+    connected: bool,
+    process: subprocess.Popen[bytes],
+    until: float,
+    seconds: float,
+) -> str:
+    if results is not None:
+        return results.failure
+    if time.monotonic() >= until:
+        return f"it was not done after {seconds:g} s"
+    assert not connected
+    return f"it ended with {process.poll()} before it asked for the task"

@@ -1,0 +1,257 @@
+"""`menid plan`: planners that play, and planners that fail in every way they do."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from click.testing import Result
+
+from menid_plan.planners import known
+
+Menid = Callable[..., Result]
+
+COIN = """
+domain coins
+type coin
+predicate heads(coin)
+predicate seen(coin)
+action flip(c: coin) cost 1 {
+  rule flip { when not seen(c) outcomes { head: 0.5 heads(c), seen(c)  tail: 0.5 seen(c) } }
+}
+problem two for coins
+object one, other: coin
+goal exists c: coin (heads(c)) reward 8
+horizon 2
+"""
+
+# A client of rddlsim that flips the first coin that it has not seen.
+CLIENT = """
+import socket, sys, time
+from xml.etree import ElementTree
+link = socket.create_connection(("127.0.0.1", int(sys.argv[1])))
+rest = b""
+def say(text):
+    link.sendall(text.encode() + b"\\0")
+def hear():
+    global rest
+    while b"\\0" not in rest:
+        data = link.recv(65536)
+        if not data:
+            sys.exit(1)
+        rest += data
+    message, _, rest = rest.partition(b"\\0")
+    return ElementTree.fromstring(message)
+say("<session-request><client-name>fake</client-name></session-request>")
+rounds = int(hear().findtext("num-rounds"))
+for _ in range(rounds):
+    say("<round-request/>")
+    hear()
+    message = hear()
+    while message.tag == "turn":
+        seen = {(f.findtext("fluent-name"), *(a.text for a in f.findall("fluent-arg"))):
+                f.findtext("fluent-value") for f in message.findall("observed-fluent")}
+        coins = [c for c in ("one", "other") if seen["seen", c] == "false"]
+        over = any(seen["heads", c] == "true" for c in ("one", "other"))
+        if seen["applying",] == "true" or over or not coins:
+            say("<actions/>")
+        else:
+            say("<actions><action><action-name>flip</action-name><action-arg>" + coins[0]
+                + "</action-arg><action-value>true</action-value></action></actions>")
+        message = hear()
+hear()
+"""
+
+
+@pytest.fixture
+def coins(tmp_path: Path) -> Path:
+    (tmp_path / "coins.menid").write_text(COIN, encoding="utf-8")
+    (tmp_path / "client.py").write_text(CLIENT, encoding="utf-8")
+    return tmp_path
+
+
+def declare(folder: Path, *command: str, rest: str = "") -> None:
+    text = f"[planner.fake]\ncommand = {json.dumps(list(command))}\n{rest}"
+    (folder / "planners.toml").write_text(text, encoding="utf-8")
+
+
+def plan(menid: Menid, *options: str) -> Result:
+    return menid("plan", "coins.menid", "--with", "fake", "--planners", "planners.toml", *options)
+
+
+def test_a_planner_that_a_user_declared(menid: Menid, coins: Path) -> None:
+    declare(coins, sys.executable, "-c", CLIENT, "{port}")
+    result = plan(menid, "--rounds", "60", "--json")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert found["rounds"] == 60
+    assert found["client"] == found["planner"] == "fake"
+    # Heads at once, heads at last, or never: each coin costs 1.
+    assert set(found["rewards"]) == {7.0, 6.0, -2.0}
+    assert found["best"] == pytest.approx(0.5 * 7 + 0.25 * 6 - 0.25 * 2, abs=1e-6)
+    assert abs(found["mean"] - found["best"]) < 4 * found["error"]
+    assert found["failure"] == ""
+    text = plan(menid, "--rounds", "60")
+    assert text.stdout.splitlines() == [
+        f"fake: reward {found['mean']:.6g} +- {found['error']:.4g} in 60 rounds, "
+        f"{found['goal_rate']:.0%} of them to the goal",
+        "best: 4.5",
+    ]
+
+
+def test_the_places_of_a_command(menid: Menid, coins: Path) -> None:
+    (coins / "extra.txt").write_text("more")
+    script = (
+        "import sys, os\n"
+        "host, name, domain, instance, folder = sys.argv[2:7]\n"
+        "assert host == '127.0.0.1' and name == 'two', sys.argv\n"
+        "assert 'domain coins {' in open(domain).read()\n"
+        "assert 'instance two {' in open(instance).read()\n"
+        "assert os.path.samefile(folder, '.') and open('extra.txt').read() == 'more'\n"
+        "assert sys.argv[7] == '{else}', sys.argv\n"
+    )
+    declare(
+        coins, sys.executable, "-c", script + CLIENT, "{port}", "{host}", "{name}", "{domain}",
+        "{instance}", "{folder}", "{else}", rest=f"files = ['{coins / 'extra.txt'}']\n",
+    )  # fmt: skip
+    result = plan(menid, "--rounds", "2")
+    assert result.exit_code == 0, result.output
+
+
+@pytest.mark.parametrize(
+    ("script", "message", "said"),
+    [
+        ("print('no licence')", "it ended with 0 before it asked for the task", "no licence"),
+        ("import os; os.abort()", "it ended with -6 before it asked for the task", ""),
+        ("import time; print('hm', flush=True); time.sleep(60)", "it was not done after 2 s", "hm"),
+        (
+            "import socket, sys, time\nlink = socket.create_connection(('127.0.0.1', int(sys.argv[1])))"
+            "\nlink.sendall(b'<session-request/>' + bytes(1)); link.recv(99); time.sleep(60)",
+            "it was not done after 2 s", "",
+        ),
+        (
+            "import socket, sys\nlink = socket.create_connection(('127.0.0.1', int(sys.argv[1])))\n"
+            "link.sendall(b'<session-request/>' + bytes(1))",
+            "the client ended the session early", "",
+        ),
+        (
+            CLIENT.replace('coins[0]', '"nothing"'), "`flip` has no arguments `nothing`", "",
+        ),
+    ],
+)  # fmt: skip
+def test_planners_that_fail(
+    menid: Menid, coins: Path, script: str, message: str, said: str
+) -> None:
+    declare(coins, sys.executable, "-c", script, "{port}")
+    start = time.monotonic()
+    result = plan(menid, "--time", "2")
+    assert time.monotonic() - start < 15
+    assert result.exit_code == 5, result.output
+    assert result.stderr.endswith(f"menid: fake failed: {message}\n")
+    assert said in result.stderr
+
+
+def test_what_a_planner_started_ends_with_it(menid: Menid, coins: Path) -> None:
+    child = "import time, pathlib; time.sleep(3); pathlib.Path('{0}').write_text('alive')"
+    script = (
+        "import subprocess, sys\n"
+        f"subprocess.Popen([sys.executable, '-c', {child.format(coins / 'trace')!r}])\n" + CLIENT
+    )
+    declare(coins, sys.executable, "-c", script, "{port}")
+    assert plan(menid, "--rounds", "1").exit_code == 0
+    time.sleep(3.5)
+    assert not (coins / "trace").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "message"),
+    [
+        ("[planner.fake]\ncommand = ['/nowhere/at-all']\n", 5, "`/nowhere/at-all`: No such file"),
+        ("[planner.fake]\n", 3, "planner.fake.command: it is missing"),
+        ("[planner.fake]\ncommand = []\n", 3, "planner.fake.command: it is empty"),
+        ("[planner.fake]\ncommand = ['a']\nprotocol = 'ftp'\n", 3, "planner.fake.protocol"),
+        ("[planner.fake]\ncommnd = ['a']\n", 3, "did you mean `command`?"),
+        ("[planer.fake]\ncommand = ['a']\n", 3, "did you mean `planner`?"),
+        ("planner = 3\n", 3, "expected tables [planner.NAME]"),
+        ("[planner]\nfake = 3\n", 3, "planner.fake: expected a table"),
+        ("[planner.fakir]\ncommand = ['a']\n", 3, "did you mean `fakir`?"),
+        ("[planner\n", 3, "planners.toml: "),
+    ],
+)
+def test_declarations_that_do_not_do(
+    menid: Menid, coins: Path, text: str, code: int, message: str
+) -> None:
+    (coins / "planners.toml").write_text(text, encoding="utf-8")
+    result = plan(menid)
+    assert result.exit_code == code, result.output
+    assert message in result.stderr
+
+
+def test_prost_by_a_folder(menid: Menid, coins: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A program in its place, which looks for the parser where PROST does."""
+    home = coins / "prost"
+    home.mkdir()
+    check = (
+        "import os, sys\n"
+        "assert os.access('./rddl-parser-release', os.X_OK)\n"
+        "assert sys.argv[1:3] == ['two', '-p'] and sys.argv[4].startswith('[Prost '), sys.argv\n"
+        "sys.argv[1] = sys.argv[3]\n"
+    )
+    for name in ("rddl-parser-release", "search-release"):
+        program = home / name
+        program.write_text(f"#!{sys.executable}\n{check}{CLIENT}", encoding="utf-8")
+        program.chmod(0o755)
+    monkeypatch.setenv("MENID_PROST", str(home))
+    result = menid("plan", "coins.menid", "--with", "prost", "--rounds", "3")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith("prost: reward ")
+
+
+def test_prost_is_not_there(menid: Menid, coins: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MENID_PROST", str(coins))
+    result = menid("plan", "coins.menid", "--with", "prost")
+    assert result.exit_code == 5
+    assert f"the folder {coins} that MENID_PROST names" in result.stderr
+    monkeypatch.delenv("MENID_PROST")
+    monkeypatch.setenv("PATH", str(coins))
+    result = menid("plan", "coins.menid", "--with", "prost")
+    assert result.exit_code == 5
+    assert "in the folders of PATH; build it" in result.stderr
+
+
+def test_the_doctor_tells_what_is_there(
+    menid: Menid, coins: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MENID_PROST", str(coins))
+    declare(coins, sys.executable, "{port}", rest="files = ['/nowhere/x']\n")
+    with (coins / "planners.toml").open("a") as file:
+        file.write(f"[planner.good]\ncommand = [{sys.executable!r}]\n")
+        file.write("[planner.gone]\ncommand = ['no-such-program']\n")
+    result = menid("doctor", "--planners", "planners.toml", "--json")
+    assert result.exit_code == 0, result.output
+    found = {each["name"]: each for each in json.loads(result.stdout)}
+    assert {name: each["there"] for name, each in found.items() if name != "storm"} == {
+        "prost": False, "fake": False, "good": True, "gone": False,
+    }  # fmt: skip
+    assert "MENID_PROST names; build it from" in found["prost"]["told"]
+    assert "there is no file /nowhere/x" in found["fake"]["told"]
+    assert "no-such-program, which is no program in PATH" in found["gone"]["told"]
+    text = menid("doctor", "--planners", "planners.toml").stdout
+    assert "good: found: declared in planners.toml: " in text
+
+
+def test_planners_in_the_user_s_own_file(
+    menid: Menid, coins: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(known, "user_config_path", lambda *_, **__: coins / "config")
+    result = menid("doctor")
+    assert f"can be declared in {coins / 'config' / 'planners.toml'}\n" in result.stdout
+    assert menid("plan", "coins.menid", "--with", "fake").exit_code == 3
+    declare(coins, sys.executable, "-c", CLIENT, "{port}")
+    (coins / "config").mkdir()
+    (coins / "planners.toml").rename(coins / "config" / "planners.toml")
+    assert menid("plan", "coins.menid", "--with", "fake", "--rounds", "1").exit_code == 0
