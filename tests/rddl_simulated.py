@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Iterator
 from contextlib import redirect_stdout
 from dataclasses import dataclass, field
+from functools import cache
 from io import StringIO
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -24,6 +25,14 @@ from menid_plan.model.formulas import GroundAtom
 Values: TypeAlias = tuple[tuple[str, bytes], ...]
 Act: TypeAlias = tuple[str, tuple[str, ...]] | None
 Row: TypeAlias = tuple[float, dict[Values, float]]
+
+
+@cache
+def parser() -> RDDLParser:
+    """A parser; its tables are not left behind in files."""
+    made = RDDLParser(lexer=None, verbose=False)
+    made.build(debug=False, write_tables=False)
+    return made
 
 
 class Simulator(RDDLSimulator):  # type: ignore[misc]
@@ -66,9 +75,8 @@ class Rddl:
         domain.write_text(self.written.domain, encoding="utf-8")
         instance.write_text(self.written.instance, encoding="utf-8")
         with redirect_stdout(StringIO()):
-            parser = RDDLParser(lexer=None, verbose=False)
-            parser.build()
-            self.model = RDDLLiftedModel(parser.parse(RDDLReader(domain, instance).rddltxt))
+            text = RDDLReader(domain, instance).rddltxt
+            self.model = RDDLLiftedModel(parser().parse(text))
             self.simulator = Simulator(self.model)
         self.horizon, self.discount = self.model.horizon, self.model.discount
         self.simulator.reset()
