@@ -24,17 +24,18 @@ if TYPE_CHECKING:
     from menid_plan.planning import Task
 
 # What each form is called when it had to be taken.
-_FORMS = {"lifted": "lifted", "grounded": "grounded", "states": "state by state"}
+_TOLD = {"lifted": "lifted", "grounded": "grounded", "states": "state by state"}
+FORMS = (
+    ("lifted", "Rules as actions with parameters, or nothing."),
+    ("grounded", "Every ground rule as an action without parameters."),
+    ("states", "Every ground action as a list of what it does in each state that can be reached."),
+)
 
 
 @click.command("ppddl")
 @task_options
 @learned_option
-@form_option(
-    ("lifted", "Rules as actions with parameters, or nothing."),
-    ("grounded", "Every ground rule as an action without parameters."),
-    ("states", "Every ground action as a list of what it does in each state that can be reached."),
-)
+@form_option(*FORMS)
 @click.option(
     "-o", "--output", "folder", required=True, metavar="DIR",
     type=click.Path(file_okay=False, path_type=Path),
@@ -56,12 +57,18 @@ def command(
     domain, problem, environment = load_learned(files, which.environment, learned)
     task = which.task(domain, problem)
     task.environment = environment or task.environment
-    forms = [form] if form else list(_FORMS)
+    texts = in_first_form(task, form)
+    write_texts(files, folder, {"domain.pddl": texts.domain, "problem.pddl": texts.problem})
+
+
+def in_first_form(task: Task, form: str | None) -> Written:
+    """The PPDDL of a task in a form, or in the first that can say all, which is told."""
+    forms = [form] if form else list(_TOLD)
     made, texts, reason = first_form(forms, lambda form: _written(task, form))
     if reason:
-        click.echo(f"menid: {_FORMS[made]}, since {reason}", err=True)
+        click.echo(f"menid: {_TOLD[made]}, since {reason}", err=True)
     tell_renamed("PPDDL", texts.renamed)
-    write_texts(files, folder, {"domain.pddl": texts.domain, "problem.pddl": texts.problem})
+    return texts
 
 
 def _written(task: Task, form: str) -> Written:

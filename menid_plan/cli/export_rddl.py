@@ -22,8 +22,14 @@ from menid_plan.cli.tasks import TaskOptions, task_options
 
 if TYPE_CHECKING:
     from menid_plan.cli.exporting import Learned
+    from menid_plan.environments.registry import EnvironmentSpec
     from menid_plan.exchange.rddl import Dialect, Written
     from menid_plan.planning import Task
+
+FORMS = (
+    ("lifted", "Rules as actions with parameters, or nothing."),
+    ("grounded", "Every ground rule as an action without parameters."),
+)
 
 
 @click.command("rddl")
@@ -45,10 +51,7 @@ if TYPE_CHECKING:
     "--stopping", is_flag=True,
     help="Say the discount as a chance that a step is the last, for planners that ignore it.",
 )  # fmt: skip
-@form_option(
-    ("lifted", "Rules as actions with parameters, or nothing."),
-    ("grounded", "Every ground rule as an action without parameters."),
-)
+@form_option(*FORMS)
 @click.option(
     "-o", "--output", "folder", required=True, metavar="DIR",
     type=click.Path(file_okay=False, path_type=Path),
@@ -81,26 +84,38 @@ def command(
             raise click.UsageError(f"--goal-reward: problem `{problem.name}` has no goal")
         reward = Number(goal_reward) if goal_reward >= 0 else Minus(Number(-goal_reward))
         problem = replace(problem, goal_reward=reward)
-    horizon = horizon or problem.horizon
-    if horizon is None:
-        raise click.UsageError(
-            f"problem `{problem.name}` has no horizon, and RDDL must have one: give --horizon"
-        )
+    problem = replace(problem, horizon=horizon or problem.horizon)
     task = which.task(domain, problem)
     task.environment = environment or task.environment
-    steps = horizon
-    made, texts, reason = first_form(
-        [form] if form else ["lifted", "grounded"],
-        lambda form: written_as(task, form, dialect, steps, stopping=stopping),
-    )
-    if reason:
-        click.echo(f"menid: {made}, since {reason}", err=True)
+    texts = _in_first_form(task, form, dialect, stopping=stopping)
     tell_renamed("RDDL", texts.renamed)
     write_texts(files, folder, {"domain.rddl": texts.domain, "instance.rddl": texts.instance})
 
 
-def written_as(task: Task, form: str, dialect: Dialect, horizon: int, *, stopping: bool) -> Written:
-    """The RDDL of a task in one of its forms, ``lifted`` or ``grounded``."""
+def for_prost(spec: EnvironmentSpec, form: str | None) -> Written:
+    """The RDDL of what is played in an environment, in two phases."""
+    from menid_plan.planning import Task
+
+    task = Task(spec.domain, spec.problem, spec.name, dict(spec.params))
+    return _in_first_form(task, form, "prost", stopping=False)
+
+
+def _in_first_form(task: Task, form: str | None, dialect: Dialect, *, stopping: bool) -> Written:
+    horizon = task.problem.horizon
+    if horizon is None:
+        raise click.UsageError(
+            f"problem `{task.problem.name}` has no horizon, and RDDL must have one: give --horizon"
+        )
+    made, texts, reason = first_form(
+        [form] if form else [name for name, _ in FORMS],
+        lambda form: _written(task, form, dialect, horizon, stopping=stopping),
+    )
+    if reason:
+        click.echo(f"menid: {made}, since {reason}", err=True)
+    return texts
+
+
+def _written(task: Task, form: str, dialect: Dialect, horizon: int, *, stopping: bool) -> Written:
     from menid_plan.exchange.classes import propositional
     from menid_plan.exchange.grounded import grounded
     from menid_plan.exchange.lifted import lifted

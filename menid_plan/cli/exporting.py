@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -14,7 +14,6 @@ from menid_plan.cli.tasks import gathered, tell_written
 from menid_plan.files import replace_file
 
 if TYPE_CHECKING:
-    from menid_plan.environments.registry import EnvironmentSpec
     from menid_plan.model.domain import Domain, Problem
 
 _Text = TypeVar("_Text")
@@ -114,32 +113,3 @@ def tell_renamed(language: str, renamed: Mapping[str, str]) -> None:
     if renamed:
         listed = ", ".join(f"`{old}` to `{new}`" for new, old in renamed.items())
         click.echo(f"menid: renamed, since {language} has other uses for them: {listed}", err=True)
-
-
-def environment_spec(
-    domain: Domain, problem: Problem, run_file: str | None, name: str | None,
-    settings: Mapping[str, float], horizon: int | None,
-) -> EnvironmentSpec:  # fmt: skip
-    """The environment that rounds of so many steps are played in; UsageError without a horizon.
-
-    It is one of a run file, or without one the domain, simulated; ``name`` is by default the target.
-    """
-    from menid_plan.environments.registry import EnvironmentSpec
-    from menid_plan.environments.runfile import read_run_file
-    from menid_plan.environments.simulated import Simulated
-
-    steps = horizon or problem.horizon
-    if steps is None:
-        raise click.UsageError(
-            f"problem `{problem.name}` has no horizon, and RDDL must have one: give --horizon"
-        )
-    problem = replace(problem, horizon=steps)
-    if run_file is None:
-        return EnvironmentSpec(name or domain.target, Simulated(), domain, problem, params=settings)
-    bound = read_run_file(run_file).bind(domain, problem, settings)
-    names = [each.name for each in bound.environments]
-    if name is not None and name not in names:
-        listed = ", ".join(names)
-        raise click.UsageError(f"{run_file} has no environment `{name}`; it has {listed}")
-    wanted = name or bound.target.name
-    return next(each for each in bound.environments if each.name == wanted)

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from menid_plan.cli.common import load_both, setting_option
-from menid_plan.cli.exporting import environment_spec, first_form, form_option
-from menid_plan.cli.tasks import files_argument
+from menid_plan.cli.common import load_both
+from menid_plan.cli.export_rddl import FORMS, for_prost
+from menid_plan.cli.exporting import form_option
+from menid_plan.cli.serving import RoundOptions, round_options
 
 if TYPE_CHECKING:
     from menid_plan.servers.play import Results
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @click.command("plan")
-@files_argument
+@round_options
 @click.option(
     "--with", "name", required=True, metavar="NAME",
     help="The planner: prost, or one that is declared.",
@@ -29,40 +30,13 @@ if TYPE_CHECKING:
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Where planners are declared; by default the user's own file.",
 )  # fmt: skip
-@click.option(
-    "--run", "run_file", type=click.Path(exists=True, dir_okay=False), metavar="FILE.toml",
-    help="Act in an environment of this run file; by default the domain is simulated.",
-)  # fmt: skip
-@click.option(
-    "--env", "environment", metavar="NAME", help="The environment; by default the target."
-)
-@setting_option
-@click.option(
-    "--horizon", type=click.IntRange(1, 1_000_000), metavar="H",
-    help="How many steps a round takes; by default as the problem has it.",
-)  # fmt: skip
-@click.option("--rounds", type=click.IntRange(1), default=30, show_default=True, metavar="N")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, metavar="S")
-@click.option(
-    "--time", "seconds", type=click.FloatRange(1, 1e6), default=1080.0, show_default=True,
-    metavar="SECONDS", help="How long the planner may take in all.",
-)  # fmt: skip
-@form_option(
-    ("lifted", "Rules as actions with parameters, or nothing."),
-    ("grounded", "Every ground rule as an action without parameters."),
-)
+@form_option(*FORMS)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def command(
     files: tuple[str, ...],
     name: str,
     declarations: Path | None,
-    run_file: str | None,
-    environment: str | None,
-    settings: dict[str, float],
-    horizon: int | None,
-    rounds: int,
-    seed: int,
-    seconds: float,
+    play: RoundOptions,
     form: str | None,
     as_json: bool,
 ) -> None:
@@ -71,7 +45,6 @@ def command(
     Beside it stands the best that the domain's numbers promise. Exits with 5 if the planner fails,
     with the last that it said.
     """
-    from menid_plan.cli.export_rddl import written_as
     from menid_plan.planners.known import planner
     from menid_plan.planners.run import run
     from menid_plan.planning import Task
@@ -79,29 +52,21 @@ def command(
     from menid_plan.servers.rddlsim import Session
 
     chosen = planner(name, declarations)
-    domain, problem = load_both(files)
-    spec = environment_spec(domain, problem, run_file, environment, settings, horizon)
-    problem, steps = spec.problem, spec.problem.horizon
-    assert steps is not None
-    task = Task(domain, problem, spec.name, settings)
-    made, texts, reason = first_form(
-        [form] if form else ["lifted", "grounded"],
-        lambda form: written_as(task, form, "prost", steps, stopping=False),
-    )
-    if reason:
-        click.echo(f"menid: {made}, since {reason}", err=True)
+    spec = play.spec(*load_both(files))
+    texts = for_prost(spec, form)
 
-    def play(wire: Wire) -> Results:
-        player = Player(spec, seed)
+    def session(wire: Wire) -> Results:
+        player = Player(spec, play.seed)
         try:
-            return Session(wire, texts, player, rounds, seconds).run()
+            return Session(wire, texts, player, play.rounds, play.seconds).run()
         finally:
             player.close()
 
-    found = run(chosen, texts, play, seconds)
-    best, why = _best(Task(domain, replace(problem, discount=None), spec.name, settings))
+    found = run(chosen, texts, session, play.seconds)
+    problem = replace(spec.problem, discount=None)
+    best, why = _best(Task(spec.domain, problem, spec.name, dict(spec.params)))
     summary: dict[str, Any] = found.results.summary() if found.results is not None else {}
-    summary |= {"planner": name, "failure": found.failure, "best": best, "horizon": steps}
+    summary |= {"planner": name, "failure": found.failure, "best": best, "horizon": problem.horizon}
     if as_json:
         click.echo(json.dumps(summary, indent=2))
     elif summary.get("rounds"):

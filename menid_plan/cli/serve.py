@@ -7,6 +7,7 @@ import click
 from menid_plan.cli.groups import LazyGroup
 
 _PROTOCOLS = {
+    "mdpsim": "The protocol of mdpsim, for planners that read PPDDL.",
     "rddlsim": "The protocol of rddlsim, which PROST speaks.",
 }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import time
 from xml.etree import ElementTree
+from xml.parsers import expat
 
 from menid_plan.errors import MenidError
 
@@ -28,8 +29,27 @@ class Wire:
         """The next message, up to a NUL; None where the other side has closed the connection."""
         until = time.monotonic() + self._seconds
         while b"\0" not in self._rest:
-            if len(self._rest) > MOST:
-                raise ProtocolError(f"a message has more than {MOST} bytes")
+            if not self._more(until):
+                return None
+        message, _, self._rest = self._rest.partition(b"\0")
+        if len(message) > MOST:
+            raise ProtocolError(f"a message has more than {MOST} bytes")
+        return parsed(message)
+
+    def receive_element(self) -> ElementTree.Element | None:
+        """The next message, which ends where its element does; None as above."""
+        until = time.monotonic() + self._seconds
+        while (end := _end_of_element(self._rest)) is None:
+            if not self._more(until):
+                return None
+        message, self._rest = self._rest[:end], self._rest[end:]
+        return parsed(message)
+
+    def _more(self, until: float) -> bool:
+        """Wait for more of a message; False where the other side has closed the connection."""
+        if len(self._rest) > MOST:
+            raise ProtocolError(f"a message has more than {MOST} bytes")
+        while True:
             left = until - time.monotonic()
             if left <= 0:
                 raise ProtocolError(f"no whole message came within {self._seconds:g} s")
@@ -40,15 +60,10 @@ class Wire:
                 continue
             except OSError as error:
                 raise ProtocolError(f"the connection broke: {error.strerror}") from error
-            if not data:
-                if self._rest.strip():
-                    raise ProtocolError("the connection ended in the middle of a message")
-                return None
             self._rest += data
-        message, _, self._rest = self._rest.partition(b"\0")
-        if len(message) > MOST:
-            raise ProtocolError(f"a message has more than {MOST} bytes")
-        return parsed(message)
+            if not data and self._rest.strip():
+                raise ProtocolError("the connection ended in the middle of a message")
+            return bool(data)
 
     def send(self, data: bytes) -> None:
         """Send a message as it is."""
@@ -59,10 +74,44 @@ class Wire:
             raise ProtocolError(f"the connection broke: {error.strerror or error}") from error
 
 
+def _end_of_element(data: bytes) -> int | None:
+    """How many bytes it is to the end of the first element; None if it is not whole yet."""
+    # What comes before it is part of it.
+    blank = len(data) - len(data.lstrip())
+    depth = 0
+    found: list[int] = []
+    parser = expat.ParserCreate("utf-8")
+
+    def begins(_name: str, _attributes: object) -> None:
+        nonlocal depth
+        depth += 1
+
+    def ends(_name: str) -> None:
+        nonlocal depth
+        depth -= 1
+        if depth == 0:
+            place = blank + parser.CurrentByteIndex
+            # An end tag begins there, and an element without one ends there.
+            tag = data[place : place + 2] == b"</"
+            found.append(data.index(b">", place) + 1 if tag else place)
+
+    def declares(*_: object) -> None:
+        raise ProtocolError("a message has declarations in its XML, which are not read")
+
+    parser.StartElementHandler, parser.EndElementHandler = begins, ends
+    parser.StartDoctypeDeclHandler = declares
+    try:
+        parser.Parse(data[blank:], False)
+    except expat.ExpatError as error:
+        if not found:  # else it is what comes after it
+            raise ProtocolError(f"a message is no XML: {error}") from error
+    return found[0] if found else None
+
+
 def parsed(message: bytes) -> ElementTree.Element:
     """The XML of a message; ProtocolError if it is none, or declares entities."""
     try:
-        text = message.decode()
+        text = message.decode().strip()
         if "<!" in text:
             raise ProtocolError("a message has declarations in its XML, which are not read")
         return ElementTree.fromstring(text)  # noqa: S314 - what it warns of are declarations

@@ -1,0 +1,123 @@
+"""What the servers and `menid plan` share: where rounds are played, how many, and for how long."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from itertools import count
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from menid_plan.cli.common import setting_option
+from menid_plan.cli.tasks import files_argument, gathered
+
+if TYPE_CHECKING:
+    from menid_plan.environments.registry import EnvironmentSpec
+    from menid_plan.model.domain import Domain, Problem
+    from menid_plan.servers.play import Player, Results
+    from menid_plan.servers.wire import Wire
+
+
+@dataclass(frozen=True, slots=True)
+class RoundOptions:
+    """Rounds in an environment: of a run file, or without one, of the domain, simulated."""
+
+    run_file: str | None
+    environment: str | None
+    settings: Mapping[str, float]
+    horizon: int | None
+    rounds: int
+    seed: int
+    seconds: float
+
+    def spec(self, domain: Domain, problem: Problem) -> EnvironmentSpec:
+        """The environment; its problem has the horizon, if there is one."""
+        from menid_plan.environments.registry import EnvironmentSpec
+        from menid_plan.environments.runfile import read_run_file
+        from menid_plan.environments.simulated import Simulated
+
+        problem = replace(problem, horizon=self.horizon or problem.horizon)
+        name = self.environment
+        if self.run_file is None:
+            target = name or domain.target
+            return EnvironmentSpec(target, Simulated(), domain, problem, params=self.settings)
+        bound = read_run_file(self.run_file).bind(domain, problem, self.settings)
+        names = [each.name for each in bound.environments]
+        if name is not None and name not in names:
+            listed = ", ".join(names)
+            raise click.UsageError(f"{self.run_file} has no environment `{name}`; it has {listed}")
+        wanted = name or bound.target.name
+        return next(each for each in bound.environments if each.name == wanted)
+
+
+def round_options(function: Any) -> Any:
+    """DOMAIN PROBLEM, and options that the command gets as ``play``, RoundOptions."""
+    return gathered(
+        function, "play", RoundOptions,
+        files_argument,
+        click.option("--run", "run_file", type=click.Path(exists=True, dir_okay=False),
+                     metavar="FILE.toml", help="Act in an environment of this run file; by default "
+                     "the domain is simulated."),
+        click.option("--env", "environment", metavar="NAME",
+                     help="The environment; by default the target."),
+        setting_option,
+        click.option("--horizon", type=click.IntRange(1, 1_000_000), metavar="H",
+                     help="How many steps a round takes; by default as the problem has it."),
+        click.option("--rounds", type=click.IntRange(1), default=30, show_default=True,
+                     metavar="N"),
+        click.option("--seed", type=click.IntRange(0), default=0, show_default=True, metavar="S"),
+        click.option("--time", "seconds", type=click.FloatRange(1, 1e6), default=1080.0,
+                     show_default=True, metavar="SECONDS", help="How long it may take in all."),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class ServerOptions:
+    """How a server listens, how long it waits for a message, and for how many sessions."""
+
+    sessions: int
+    port: int
+    patience: float
+
+    def serve(
+        self, spec: EnvironmentSpec, seed: int, play: Callable[[Wire, Player], Results]
+    ) -> None:
+        """Have sessions, and print what came of each; exit with 5 if one ended early."""
+        from menid_plan.environments.seeds import seed_of
+        from menid_plan.servers.listen import HOST, listening, sessions
+        from menid_plan.servers.play import Player
+
+        counted = count()
+
+        def session(wire: Wire) -> Results:
+            # What broke down in one session is built anew for the next.
+            player = Player(spec, seed_of(seed, "session", next(counted)))
+            try:
+                return play(wire, player)
+            finally:
+                player.close()
+
+        failed = False
+        with listening(self.port) as server:
+            click.echo(f"listening on {HOST}:{server.getsockname()[1]}", err=True)
+            for results in sessions(server, self.sessions, self.patience, session):
+                click.echo(json.dumps(results.summary(), indent=2))
+                failed = failed or bool(results.failure)
+        if failed:
+            click.get_current_context().exit(5)
+
+
+def server_options(function: Any) -> Any:
+    """Options that the command gets as ``server``, ServerOptions."""
+    return gathered(
+        function, "server", ServerOptions,
+        click.option("--sessions", type=click.IntRange(1), default=1, show_default=True,
+                     metavar="N", help="End after so many sessions."),
+        click.option("--port", type=click.IntRange(0, 65535), default=2323, show_default=True,
+                     help="The port on 127.0.0.1; 0: any that is free, which is told."),
+        click.option("--patience", type=click.FloatRange(0.01, 1e6), default=300.0,
+                     show_default=True, metavar="SECONDS",
+                     help="How long the client may take for a message."),
+    )  # fmt: skip

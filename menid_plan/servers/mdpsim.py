@@ -1,0 +1,163 @@
+"""The protocol of mdpsim, the server of the probabilistic tracks of 2004 to 2008 (Younes et al. 2005).
+
+A planner has read the PPDDL files itself; it is shown the atoms that hold and can change, and answers
+with an action of the domain file.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from xml.etree import ElementTree
+
+from menid_plan.errors import MenidError
+from menid_plan.exchange.ppddl import Written
+from menid_plan.grounding.state import GroundAction
+from menid_plan.model.rules import Literal
+from menid_plan.servers.play import Player, Results, Round
+from menid_plan.servers.wire import ProtocolError, Wire, element, words
+
+
+class Session:
+    """One session with one client."""
+
+    def __init__(
+        self, wire: Wire, written: Written, player: Player, rounds: int, turns: int, seconds: float
+    ) -> None:
+        """``turns``: how many actions a round has at most; ``seconds``: how long all may take."""
+        self._wire, self._written, self._player = wire, written, player
+        self._rounds, self._turns = rounds, turns
+        self._begin = time.monotonic()
+        self._seconds = seconds
+        self._objects = {new.lower(): old for old, new in written.objects.items()}
+        changing: set[str] = set()
+        for action in player.spec.domain.actions:
+            for rule in action.rules:
+                for outcome in rule.outcomes:
+                    for effect in outcome.effects:
+                        literals = (effect,) if isinstance(effect, Literal) else effect.effects
+                        changing.update(literal.atom.predicate for literal in literals)
+        self._changing = changing & written.predicates.keys()
+        self.results = Results()
+
+    def run(self) -> Results:
+        """Play the session to its end; what is wrong with the client ends it, and is in the results."""
+        try:
+            self._play()
+        except MenidError as error:
+            self.results.failure = str(error)
+            with suppress(ProtocolError):  # nobody may be there to be told
+                self._send(element("error", error))
+        return self.results
+
+    def _play(self) -> None:
+        request = self._receive()
+        if request is None or request.tag != "session-request":
+            came = "nothing" if request is None else f"`{request.tag}`"
+            raise ProtocolError(f"{came} came where `session-request` is due")
+        self.results.client = words(request, "name")
+        self._send(
+            element(
+                "session-init", "", element("sessionID", 1),
+                element(
+                    "setting", "", element("rounds", self._rounds),
+                    element("allowed-time", self._left()), element("allowed-turns", self._turns),
+                ),
+            )
+        )  # fmt: skip
+        while len(self.results.rounds) < self._rounds:
+            message = self._receive()
+            if message is None:
+                raise ProtocolError("the client ended the session early")
+            if message.tag != "round-request":
+                raise ProtocolError(f"`{message.tag}` came where a round begins")
+            self._round()
+        rounds = self.results.rounds
+        reached = [each for each in rounds if each.goal]
+        average = sum(each.reward for each in rounds) / len(rounds)
+        self._send(
+            element(
+                "end-session", "", element("sessionID", 1), element("rounds", len(rounds)),
+                element(
+                    "goals", "", element("failed", len(rounds) - len(reached)),
+                    element("reached", "", element("successes", len(reached))),
+                ),
+                element("metric-average", average),
+            )
+        )  # fmt: skip
+
+    def _round(self) -> None:
+        player = self._player
+        number = len(self.results.rounds) + 1
+        begin = time.monotonic()
+        player.begin()
+        self._send(
+            element(
+                "round-init", "", element("sessionID", 1), element("round", number),
+                element("time-left", self._left()), element("rounds-left", self._rounds - number),
+            )
+        )  # fmt: skip
+        while not player.over and player.round.steps < self._turns:
+            self._send(self._state())
+            action = self._action()
+            if action is None:
+                break
+            if not player.applies(action):
+                # As mdpsim has it, that ends the round, and not the session.
+                self._send(element("error", f"`{action}` does not apply in this state"))
+                break
+            player.act(action)
+        found: Round = player.end()
+        self.results.rounds.append(found)
+        spent = int(1000 * (time.monotonic() - begin))
+        parts = [element("sessionID", 1), element("round", number), self._state()]
+        if found.goal:
+            parts.append(element("goal-reached"))
+        parts += [element("time-spent", spent), element("turns-used", found.steps)]
+        self._send(element("end-round", "", *parts))
+
+    def _action(self) -> GroundAction | None:
+        """What the client does; None if it gives the round up."""
+        message = self._receive()
+        if message is None:
+            raise ProtocolError("the client ended the session in the middle of a round")
+        if message.tag == "done":
+            return None
+        action = message.find("action")
+        if message.tag != "act" or action is None:
+            raise ProtocolError(f"`{message.tag}` came where an action is due")
+        name = words(action, "name").lower()
+        terms = [(each.text or "").strip().lower() for each in action.findall("term")]
+        if name not in self._written.calls:
+            raise ProtocolError(f"there is no action `{name}`")
+        parameters, call = self._written.calls[name]
+        unknown = [each for each in terms if each not in self._objects]
+        if unknown or len(terms) != len(parameters):
+            raise ProtocolError(f"`{name}` has no arguments `{', '.join(terms)}`")
+        objects = (self._objects[each] for each in terms)
+        return call.bound(dict(zip(parameters, objects, strict=True)))
+
+    def _state(self) -> ElementTree.Element:
+        """The atoms that hold and can change."""
+        predicates, objects = self._written.predicates, self._written.objects
+        atoms = [
+            element(
+                "atom", "", element("predicate", predicates[atom.predicate]),
+                *(element("term", objects[each]) for each in atom.arguments),
+            )
+            for atom in sorted(self._player.state)
+            if atom.predicate in self._changing
+        ]  # fmt: skip
+        return element("state", "", *atoms)
+
+    def _left(self) -> int:
+        """Milliseconds that the session has left."""
+        return max(int(1000 * (self._begin + self._seconds - time.monotonic())), 0)
+
+    def _receive(self) -> ElementTree.Element | None:
+        if not self._left():
+            raise ProtocolError("the session has taken all of its time")
+        return self._wire.receive_element()
+
+    def _send(self, message: ElementTree.Element) -> None:
+        self._wire.send(ElementTree.tostring(message) + b"\n")
