@@ -255,3 +255,43 @@ def test_planners_in_the_user_s_own_file(
     (coins / "config").mkdir()
     (coins / "planners.toml").rename(coins / "config" / "planners.toml")
     assert menid("plan", "coins.menid", "--with", "fake", "--rounds", "1").exit_code == 0
+
+
+# A client of mdpsim that flips a coin that it has not seen.
+PPDDL_CLIENT = """
+import socket, sys
+from xml.etree import ElementTree
+assert "(define (domain coins)" in open(sys.argv[2]).read()
+assert "(define (problem two)" in open(sys.argv[3]).read()
+assert sys.argv[4] == "two"
+link = socket.create_connection(("127.0.0.1", int(sys.argv[1])))
+lines = link.makefile("rb")
+def ask(text):
+    link.sendall(text.encode())
+    return ElementTree.fromstring(lines.readline())
+first = ask("<session-request><name>fake</name></session-request>")
+for _ in range(int(first.findtext("setting/rounds"))):
+    ask("<round-request/>")
+    message = ElementTree.fromstring(lines.readline())
+    while message.tag == "state":
+        seen = {a.findtext("term") for a in message if a.findtext("predicate") == "seen"}
+        coin = [c for c in ("one", "other") if c not in seen][0]
+        message = ask("<act><action><name>flip</name><term>" + coin + "</term></action></act>")
+    assert message.tag == "end-round", message.tag
+"""
+
+
+def test_a_planner_that_reads_ppddl(menid: Menid, coins: Path) -> None:
+    command = (sys.executable, "-c", PPDDL_CLIENT, "{port}", "{domain}", "{instance}", "{name}")
+    declare(coins, *command, rest="protocol = 'mdpsim'\n")
+    result = plan(menid, "--rounds", "60", "--json")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert found["rounds"] == 60
+    assert set(found["rewards"]) == {7.0, 6.0, -2.0}
+    assert found["best"] == pytest.approx(4.5, abs=1e-6)
+    assert abs(found["mean"] - found["best"]) < 4 * found["error"]
+    declare(coins, *command)
+    result = plan(menid, "--states")
+    assert result.exit_code == 2
+    assert "this planner reads RDDL" in result.stderr

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,13 +12,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from menid_plan.cli.common import load_both
-from menid_plan.cli.export_rddl import FORMS, for_prost
+from menid_plan.cli.export_ppddl import FORMS, in_first_form
+from menid_plan.cli.export_rddl import for_prost
 from menid_plan.cli.exporting import form_option
+from menid_plan.cli.serve_mdpsim import TURNS
 from menid_plan.cli.serving import RoundOptions, round_options
 
 if TYPE_CHECKING:
-    from menid_plan.servers.play import Results
+    from menid_plan.environments.registry import EnvironmentSpec
+    from menid_plan.servers.play import Player, Results
     from menid_plan.servers.wire import Wire
+
+    _Session = tuple[dict[str, str], Callable[[Wire, Player], Results]]
 
 
 @click.command("plan")
@@ -49,20 +56,19 @@ def command(
     from menid_plan.planners.run import run
     from menid_plan.planning import Task
     from menid_plan.servers.play import Player
-    from menid_plan.servers.rddlsim import Session
 
     chosen = planner(name, declarations)
     spec = play.spec(*load_both(files))
-    texts = for_prost(spec, form)
+    texts, session = (_in_ppddl if chosen.protocol == "mdpsim" else _in_rddl)(spec, play, form)
 
-    def session(wire: Wire) -> Results:
+    def begin(wire: Wire) -> Results:
         player = Player(spec, play.seed)
         try:
-            return Session(wire, texts, player, play.rounds, play.seconds).run()
+            return session(wire, player)
         finally:
             player.close()
 
-    found = run(chosen, texts, session, play.seconds)
+    found = run(chosen, texts, begin, play.seconds)
     problem = replace(spec.problem, discount=None)
     best, why = _best(Task(spec.domain, problem, spec.name, dict(spec.params)))
     summary: dict[str, Any] = found.results.summary() if found.results is not None else {}
@@ -83,12 +89,37 @@ def command(
         click.get_current_context().exit(5)
 
 
+def _in_rddl(spec: EnvironmentSpec, play: RoundOptions, form: str | None) -> _Session:
+    """The files of a planner that reads RDDL, and what it is played with."""
+    from menid_plan.servers.rddlsim import Session
+
+    if form == "states":
+        raise click.UsageError("--states: this planner reads RDDL, which is lifted or grounded")
+    texts = for_prost(spec, form)
+    return {"domain.rddl": texts.domain, "instance.rddl": texts.instance}, (
+        lambda wire, player: Session(wire, texts, player, play.rounds, play.seconds).run()
+    )
+
+
+def _in_ppddl(spec: EnvironmentSpec, play: RoundOptions, form: str | None) -> _Session:
+    """The files of a planner that reads PPDDL, and what it is played with."""
+    from menid_plan.planning import Task
+    from menid_plan.servers.mdpsim import Session
+
+    texts = in_first_form(Task(spec.domain, spec.problem, spec.name, dict(spec.params)), form)
+    turns = spec.problem.horizon or TURNS
+    return {"domain.pddl": texts.domain, "problem.pddl": texts.problem}, (
+        lambda wire, player: Session(wire, texts, player, play.rounds, turns, play.seconds).run()
+    )
+
+
 def _best(task: Any) -> tuple[float | None, str]:
     """The best mean reward by the domain's numbers, not discounted, or why it is not known."""
     from menid_plan.errors import MenidError
 
     try:
         task.build()
-        return task.solve(task.solver("value-iteration"), "reward").value, ""
+        value = task.solve(task.solver("value-iteration"), "reward").value
+        return (value, "") if math.isfinite(value) else (None, "it has no bound")
     except MenidError as error:
         return None, str(error)

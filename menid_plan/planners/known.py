@@ -39,10 +39,11 @@ class Planner:
     ``command`` are its program and arguments. In them stand, in curly brackets: ``folder``, the
     temporary folder in which it is started, ``domain`` and ``instance``, the files there, ``name``,
     the name of the instance, ``host`` and ``port`` of the server. ``files`` are linked into the folder.
+    It reads RDDL, or PPDDL if the ``protocol`` that it speaks is mdpsim's.
     """
 
     command: tuple[str, ...]
-    protocol: Literal["rddlsim"] = "rddlsim"
+    protocol: Literal["rddlsim", "mdpsim"] = "rddlsim"
     files: tuple[str, ...] = ()
 
     def filled(self, places: Mapping[str, str]) -> list[str]:

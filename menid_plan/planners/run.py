@@ -9,13 +9,12 @@ import socket
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from menid_plan.exchange.rddl import Written
 from menid_plan.planners.known import Planner, PlannerMissingError
 from menid_plan.servers.listen import HOST, listening
 from menid_plan.servers.play import Results
@@ -35,9 +34,12 @@ class Run:
     output: str
 
 
-def run(planner: Planner, written: Written, play: Callable[[Wire], Results], seconds: float) -> Run:
+def run(
+    planner: Planner, files: Mapping[str, str], play: Callable[[Wire], Results], seconds: float
+) -> Run:
     """Start a planner in a folder of its own, and let it play; it ends after so many seconds.
 
+    ``files`` are the texts of a domain and of an instance or a problem, by the names of their files.
     Raises PlannerMissingError if its program can't be started. What it exits with counts for nothing:
     PROST says 0 where it failed.
     """
@@ -47,16 +49,16 @@ def run(planner: Planner, written: Written, play: Callable[[Wire], Results], sec
         ThreadPoolExecutor(1) as threads,
     ):
         folder = Path(name)
-        (folder / "domain.rddl").write_text(written.domain, encoding="utf-8")
-        (folder / "instance.rddl").write_text(written.instance, encoding="utf-8")
+        for file, text in files.items():
+            (folder / file).write_text(text, encoding="utf-8")
         for file in planner.files:
             (folder / Path(file).name).symlink_to(Path(file).absolute())
-        instance = re.search(r"^instance (\S+) \{", written.instance, re.MULTILINE)
-        assert instance is not None
+        domain, instance = files
+        called = re.search(r"^(?:instance|\(define \(problem) ([^\s)]+)", files[instance], re.M)
+        assert called is not None
         places = {
-            "folder": name, "domain": str(folder / "domain.rddl"),
-            "instance": str(folder / "instance.rddl"), "name": instance[1], "host": HOST,
-            "port": str(server.getsockname()[1]),
+            "folder": name, "domain": str(folder / domain), "instance": str(folder / instance),
+            "name": called[1], "host": HOST, "port": str(server.getsockname()[1]),
         }  # fmt: skip
         command = planner.filled(places)
         with (folder / "output").open("wb") as output:
@@ -90,8 +92,8 @@ def run(planner: Planner, written: Written, play: Callable[[Wire], Results], sec
                 with suppress(OSError):
                     connection.shutdown(socket.SHUT_RDWR)
                 connection.close()
-        text = (folder / "output").read_bytes()[-TAIL:].decode(errors="replace")
-    return Run(results, failure, text)
+        said = (folder / "output").read_bytes()[-TAIL:].decode(errors="replace")
+    return Run(results, failure, said)
 
 
 def _accepted(

@@ -58,6 +58,8 @@ class Wire:
                 data = self._socket.recv(65536)
             except TimeoutError:
                 continue
+            except ConnectionResetError:  # it ended before it had read everything
+                data = b""
             except OSError as error:
                 raise ProtocolError(f"the connection broke: {error.strerror}") from error
             self._rest += data
