@@ -75,7 +75,8 @@ def run(
             connection = _accepted(server, process, until)
             results = None
             if connection is not None:
-                session = threads.submit(play, Wire(connection, seconds))
+                # It is the time in all that counts, not that of a message.
+                session = threads.submit(play, Wire(connection, seconds + GRACE))
                 while not session.done() and time.monotonic() < until:
                     time.sleep(0.02)
                 if session.done():
