@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import json
-import re
 import socket
 import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import pytest
 
-RUN = "from menid_plan.cli.main import main; main()"
+import servers
+from servers import closed, connected, ended
+
+__all__ = ["closed"]  # a fixture of every test
+
 LAMP = """
 domain lamps
 environment there: target
@@ -37,23 +36,13 @@ init lamp-of(hall-lamp), lamp-of(Forall)
 goal on(hall-lamp) and on(Forall) reward 10
 """
 LAMPS = ("hall-lamp", "Forall_2")  # as they are called in PPDDL, where `forall` is a word
-OPEN: list[socket.socket] = []
-
-
-@pytest.fixture(autouse=True)
-def closed() -> Iterator[None]:
-    yield
-    while OPEN:
-        OPEN.pop().close()
 
 
 class Client:
     """Says what it is told to, and reads lines."""
 
     def __init__(self, port: int) -> None:
-        self.socket = socket.create_connection(("127.0.0.1", port))
-        self.socket.settimeout(20)
-        OPEN.append(self.socket)
+        self.socket = connected(port)
         self.lines = self.socket.makefile("rb")
 
     def say(self, text: str) -> None:
@@ -99,39 +88,11 @@ def play(client: Client) -> tuple[bool, int]:
     return message.find("goal-reached") is not None, int(message.findtext("turns-used") or "")
 
 
-@contextmanager
-def serving(folder: Path, *options: str) -> Iterator[tuple[int, subprocess.Popen[str]]]:
+def serving(
+    folder: Path, *options: str
+) -> AbstractContextManager[tuple[int, subprocess.Popen[str]]]:
     (folder / "lamps.menid").write_text(LAMP, encoding="utf-8")
-    command = [
-        sys.executable, "-c", RUN, "serve", "mdpsim", "lamps.menid", "--port", "0", "-o", "out",
-        *options,
-    ]  # fmt: skip
-    process = subprocess.Popen(
-        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    try:
-        assert process.stderr is not None
-        found = None
-        while found is None:
-            line = process.stderr.readline()
-            assert line
-            found = re.fullmatch(r"listening on 127\.0\.0\.1:(\d+)\n", line)
-        yield int(found[1]), process
-    finally:
-        process.kill()
-        process.communicate()
-
-
-def ended(process: subprocess.Popen[str], code: int) -> list[dict[str, Any]]:
-    out, err = process.communicate(timeout=30)
-    assert process.returncode == code, err
-    assert "Traceback" not in err
-    decoder, found = json.JSONDecoder(), []
-    while out.strip():
-        value, end = decoder.raw_decode(out := out.lstrip())
-        found.append(value)
-        out = out[end:]
-    return found
+    return servers.serving(folder, "mdpsim", "lamps.menid", "-o", "out", *options)
 
 
 def test_a_whole_session(tmp_path: Path) -> None:

@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import base64
-import json
-import re
 import socket
 import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import pytest
 from click.testing import Result
 
+import servers
 from conftest import ROOT
+from servers import closed, connected, ended
 
 Menid = Callable[..., Result]
 
-RUN = "from menid_plan.cli.main import main; main()"
+
+__all__ = ["closed"]  # a fixture of every test
 
 LAMP = """
 domain lamps
@@ -47,23 +46,11 @@ FILES = ("lamps.menid",)
 HALL, SUM = "hall_lamp", "sum_2"
 
 
-OPEN: list[socket.socket] = []
-
-
-@pytest.fixture(autouse=True)
-def closed() -> Iterator[None]:
-    yield
-    while OPEN:
-        OPEN.pop().close()
-
-
 class Client:
     """Says what it is told to, and reads whole messages."""
 
     def __init__(self, port: int) -> None:
-        self.socket = socket.create_connection(("127.0.0.1", port))
-        self.socket.settimeout(20)
-        OPEN.append(self.socket)
+        self.socket = connected(port)
         self.rest = b""
 
     def say(self, text: str) -> None:
@@ -134,44 +121,11 @@ def play(client: Client, prefer: str = HALL) -> float:
     return paid
 
 
-@contextmanager
-def serving(folder: Path, *options: str) -> Iterator[tuple[int, subprocess.Popen[str]]]:
+def serving(
+    folder: Path, *options: str
+) -> AbstractContextManager[tuple[int, subprocess.Popen[str]]]:
     (folder / "lamps.menid").write_text(LAMP, encoding="utf-8")
-    command = [
-        sys.executable,
-        "-c",
-        RUN,
-        "serve",
-        "rddlsim",
-        *FILES,
-        "--port",
-        "0",
-        *options,
-    ]
-    process = subprocess.Popen(
-        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    try:
-        assert process.stderr is not None
-        line = process.stderr.readline()
-        found = re.fullmatch(r"listening on 127\.0\.0\.1:(\d+)\n", line)
-        assert found, line + process.stderr.read()
-        yield int(found[1]), process
-    finally:
-        process.kill()
-        process.communicate()
-
-
-def ended(process: subprocess.Popen[str], code: int) -> list[dict[str, Any]]:
-    out, err = process.communicate(timeout=30)
-    assert process.returncode == code, err
-    assert "Traceback" not in err
-    decoder, found = json.JSONDecoder(), []
-    while out.strip():
-        value, end = decoder.raw_decode(out := out.lstrip())
-        found.append(value)
-        out = out[end:]
-    return found
+    return servers.serving(folder, "rddlsim", "lamps.menid", *options)
 
 
 def test_a_whole_session(tmp_path: Path) -> None:
@@ -319,35 +273,27 @@ def test_a_client_that_is_slow_or_says_too_much(tmp_path: Path) -> None:
 def test_a_scene_behind_the_protocol(tmp_path: Path) -> None:
     """Any environment of a run file plays: here the outcome bank of the scenes."""
     hdd = ROOT / "domains" / "hdd"
-    command = [
-        sys.executable, "-c", RUN, "serve", "rddlsim", str(hdd / "domain.menid"),
-        str(hdd / "drive.menid"), "--run", str(hdd / "bank.toml"), "--port", "0", "--rounds", "1",
-        "--horizon", "2",
-    ]  # fmt: skip
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as server:
-        try:
-            assert server.stderr is not None
-            line = server.stderr.readline()
-            client = Client(int(line.rpartition(":")[2]))
-            client.begin()
-            client.round()
-            client.say(act("lever_seated", "n8", "tray", "board"))
-            client.heard("turn")
+    files = (str(hdd / "domain.menid"), str(hdd / "drive.menid"), "--run", str(hdd / "bank.toml"))
+    with servers.serving(tmp_path, "rddlsim", *files, "--rounds", "1", "--horizon", "2") as (
+        port,
+        server,
+    ):
+        client = Client(port)
+        client.begin()
+        client.round()
+        client.say(act("lever_seated", "n8", "tray", "board"))
+        client.heard("turn")
+        client.say(act())
+        turn = client.heard("turn")
+        assert observed(turn)["on_table", "board"] == "true"
+        assert float(turn.findtext("immediate-reward") or "") == 1.0
+        for _ in range(2):
             client.say(act())
-            turn = client.heard("turn")
-            assert observed(turn)["on_table", "board"] == "true"
-            assert float(turn.findtext("immediate-reward") or "") == 1.0
-            for _ in range(2):
-                client.say(act())
-                last = client.hear()
-            assert last is not None
-            assert last.tag == "round-end"
-            client.heard("session-end")
-            (found,) = ended(server, 0)
-        finally:
-            server.kill()
+            last = client.hear()
+        assert last is not None
+        assert last.tag == "round-end"
+        client.heard("session-end")
+        (found,) = ended(server, 0)
     assert found["goal_rate"] == 1.0
 
 

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from menid_plan.environments.registry import EnvironmentSpec
+    from menid_plan.environments.runfile import Bound
+
 _COLOURS: dict[str, dict[str, Any]] = {
     "place": {"bold": True},
     "error": {"fg": "red", "bold": True},
@@ -64,6 +67,16 @@ def setting_option(function: _Command) -> _Command:
         help="Set a param of the domain anew; may be given more than once.",
     )  # fmt: skip
     return option(function)
+
+
+def environment_of(bound: Bound, run_file: str, name: str | None) -> EnvironmentSpec:
+    """The environment of that name among those of a run file; None: the target."""
+    found = {spec.name: spec for spec in bound.environments}
+    if name is None:
+        return bound.target
+    if name not in found:
+        raise click.UsageError(f"{run_file} has no environment `{name}`; it has {', '.join(found)}")
+    return found[name]
 
 
 def distinct_outputs(inputs: Iterable[str], *outputs: Path | None) -> None:

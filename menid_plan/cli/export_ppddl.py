@@ -9,8 +9,8 @@ import click
 
 from menid_plan.cli.common import distinct_outputs
 from menid_plan.cli.exporting import (
-    first_form,
     form_option,
+    in_form,
     learned_option,
     load_learned,
     tell_renamed,
@@ -63,10 +63,7 @@ def command(
 
 def in_first_form(task: Task, form: str | None) -> Written:
     """The PPDDL of a task in a form, or in the first that can say all, which is told."""
-    forms = [form] if form else list(_TOLD)
-    made, texts, reason = first_form(forms, lambda form: _written(task, form))
-    if reason:
-        click.echo(f"menid: {_TOLD[made]}, since {reason}", err=True)
+    texts = in_form(form, _TOLD, lambda form: _written(task, form))
     tell_renamed("PPDDL", texts.renamed)
     return texts
 

@@ -11,8 +11,8 @@ import click
 
 from menid_plan.cli.common import distinct_outputs
 from menid_plan.cli.exporting import (
-    first_form,
     form_option,
+    in_form,
     learned_option,
     load_learned,
     tell_renamed,
@@ -73,7 +73,7 @@ def command(
     They are non-fluents of the instance, which can be changed there. Lifted where that can be said,
     else grounded, which is told. Exits with 4 for what neither can say.
     """
-    from menid_plan.model.expressions import Minus, Number
+    from menid_plan.model.expressions import Number
 
     distinct_outputs(files, folder)
     domain, problem, environment = load_learned(files, which.environment, learned)
@@ -82,8 +82,7 @@ def command(
             raise click.UsageError(f"--goal-reward: {goal_reward} is not a finite number")
         if problem.goal is None:
             raise click.UsageError(f"--goal-reward: problem `{problem.name}` has no goal")
-        reward = Number(goal_reward) if goal_reward >= 0 else Minus(Number(-goal_reward))
-        problem = replace(problem, goal_reward=reward)
+        problem = replace(problem, goal_reward=Number(goal_reward))
     problem = replace(problem, horizon=horizon or problem.horizon)
     task = which.task(domain, problem)
     task.environment = environment or task.environment
@@ -106,13 +105,11 @@ def _in_first_form(task: Task, form: str | None, dialect: Dialect, *, stopping: 
         raise click.UsageError(
             f"problem `{task.problem.name}` has no horizon, and RDDL must have one: give --horizon"
         )
-    made, texts, reason = first_form(
-        [form] if form else [name for name, _ in FORMS],
+    return in_form(
+        form,
+        {name: name for name, _ in FORMS},
         lambda form: _written(task, form, dialect, horizon, stopping=stopping),
     )
-    if reason:
-        click.echo(f"menid: {made}, since {reason}", err=True)
-    return texts
 
 
 def _written(task: Task, form: str, dialect: Dialect, horizon: int, *, stopping: bool) -> Written:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -76,20 +76,27 @@ def form_option(*forms: tuple[str, str]) -> Callable[[Any], Any]:
     return decorate
 
 
-def first_form(forms: Sequence[str], write: Callable[[str], _Text]) -> tuple[str, _Text, str]:
-    """The first form in which all can be said, what was written in it, and why not one before."""
+def in_form(form: str | None, told: Mapping[str, str], write: Callable[[str], _Text]) -> _Text:
+    """What is written in a form, or if it is None, in the first of those in which all can be said.
+
+    ``told`` has the forms, with what each is called when it had to be taken in place of one before.
+    """
     from menid_plan.errors import LimitError
     from menid_plan.exchange.flat import NotExpressibleError
 
     reasons: list[str] = []
     last: NotExpressibleError | LimitError | None = None
-    for form in forms:
+    for each in [form] if form else told:
         try:
-            return form, write(form), reasons[0] if reasons else ""
+            text = write(each)
         except (NotExpressibleError, LimitError) as error:
             last = error
             if str(error) not in reasons:
                 reasons.append(str(error))
+        else:
+            if reasons:
+                click.echo(f"menid: {told[each]}, since {reasons[0]}", err=True)
+            return text
     assert last is not None
     if len(reasons) < 2:
         raise last

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 
 import click
 
-from menid_plan.cli.common import distinct_outputs, load_both
+from menid_plan.cli.common import distinct_outputs, environment_of, load_both
 from menid_plan.files import replace_file
 from menid_plan.grounding.semantics import Semantics
 from menid_plan.grounding.state import GroundAction, State, state_text
@@ -76,10 +76,7 @@ def command(
     domain, problem = load_both(files)
     start = None if state is None else read_state(state, domain, problem, "--state")
     bound = read_run_file(run_file).bind(domain, problem)
-    names = [spec.name for spec in bound.environments]
-    if name is not None and name not in names:
-        raise click.UsageError(f"{run_file} has no environment `{name}`; it has {', '.join(names)}")
-    spec = next(s for s in bound.environments if name in (None, s.name))
+    spec = environment_of(bound, run_file, name)
     if not isinstance(spec.kind, Hdd):
         raise EnvironmentFailedError(
             f"environment `{spec.name}` of kind `{spec.kind.name}` has nothing to be seen; those of"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from menid_plan.cli.common import setting_option
+from menid_plan.cli.common import environment_of, setting_option
 from menid_plan.cli.tasks import files_argument, gathered
 
 if TYPE_CHECKING:
@@ -39,17 +39,11 @@ class RoundOptions:
         from menid_plan.environments.simulated import Simulated
 
         problem = replace(problem, horizon=self.horizon or problem.horizon)
-        name = self.environment
         if self.run_file is None:
-            target = name or domain.target
+            target = self.environment or domain.target
             return EnvironmentSpec(target, Simulated(), domain, problem, params=self.settings)
         bound = read_run_file(self.run_file).bind(domain, problem, self.settings)
-        names = [each.name for each in bound.environments]
-        if name is not None and name not in names:
-            listed = ", ".join(names)
-            raise click.UsageError(f"{self.run_file} has no environment `{name}`; it has {listed}")
-        wanted = name or bound.target.name
-        return next(each for each in bound.environments if each.name == wanted)
+        return environment_of(bound, self.run_file, self.environment)
 
 
 def round_options(function: Any) -> Any:

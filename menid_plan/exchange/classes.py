@@ -16,7 +16,6 @@ from menid_plan.model.domain import OBJECT, Domain, Predicate, objects_by_type
 from menid_plan.model.formulas import (
     And,
     Atom,
-    Count,
     Exists,
     ForAll,
     Formula,
@@ -29,6 +28,7 @@ from menid_plan.model.formulas import (
     conjunction,
     disjunction,
     negation,
+    subformulas,
 )
 from menid_plan.model.rules import ConditionalEffect, Effect, Literal, Rule, UniversalEffect
 
@@ -93,20 +93,6 @@ def _ranges(formula: Formula) -> Iterator[tuple[str, ...]]:
     for each in subformulas(formula):
         if isinstance(each, Exists | ForAll):
             yield from (variable.types for variable in each.variables)
-
-
-def subformulas(formula: Formula) -> Iterator[Formula]:
-    """A formula and all in it."""
-    yield formula
-    match formula:
-        case And(formulas) | Or(formulas):
-            for each in formulas:
-                yield from subformulas(each)
-        case Implies(left, right):
-            yield from subformulas(left)
-            yield from subformulas(right)
-        case Not(inner) | Exists(_, inner) | ForAll(_, inner) | Count(_, inner):
-            yield from subformulas(inner)
 
 
 # -------------------------------------------------------------------------------- flat problems anew

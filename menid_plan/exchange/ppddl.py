@@ -19,6 +19,7 @@ from menid_plan.model.expressions import Expression
 from menid_plan.model.formulas import (
     And,
     Atom,
+    Constant,
     Count,
     Equality,
     Exists,
@@ -31,6 +32,7 @@ from menid_plan.model.formulas import (
     Truth,
     TypedVariable,
     Variable,
+    subformulas,
 )
 from menid_plan.model.rules import Action, ConditionalEffect, Effect, Literal, Outcome, Rule
 
@@ -175,20 +177,14 @@ class _Writer:
 
     def _used_objects(self) -> set[str]:
         """The objects that the domain speaks of by name."""
-        found: set[str] = set()
+        formulas: list[Formula] = [reward.condition for reward in self._domain.rewards]
         for action in self._domain.actions:
             (rule,) = action.rules
-            _objects_in(rule.condition, found)
+            formulas.append(rule.condition)
             for outcome in rule.outcomes:
-                for effect in outcome.effects:
-                    if not isinstance(effect, Literal):
-                        _objects_in(effect.condition, found)
-                    literals = (effect,) if isinstance(effect, Literal) else effect.effects
-                    for literal in literals:
-                        _objects_in(literal.atom, found)
-        for reward in self._domain.rewards:
-            _objects_in(reward.condition, found)
-        return found
+                formulas += [e.condition for e in outcome.effects if not isinstance(e, Literal)]
+                formulas += [literal.atom for literal in outcome.literals]
+        return {name for formula in formulas for name in _objects_in(formula)}
 
     def _action(self, action: Action) -> Iterator[str]:
         (rule,) = action.rules
@@ -308,21 +304,14 @@ def _name(name: str) -> str:
     return names_for([(name, name)], RESERVED)[name]
 
 
-def _objects_in(formula: Formula, found: set[str]) -> None:
-    """Add the objects that a formula names."""
-    match formula:
-        case Atom(_, arguments):
-            found.update(t.name for t in arguments if not isinstance(t, Variable))
-        case Equality(left, right):
-            found.update(t.name for t in (left, right) if not isinstance(t, Variable))
-        case Not(inner) | Exists(_, inner) | ForAll(_, inner) | Count(_, inner):
-            _objects_in(inner, found)
-        case And(formulas) | Or(formulas):
-            for each in formulas:
-                _objects_in(each, found)
-        case Implies(left, right):
-            _objects_in(left, found)
-            _objects_in(right, found)
+def _objects_in(formula: Formula) -> Iterator[str]:
+    """The objects that a formula names."""
+    for each in subformulas(formula):
+        match each:
+            case Atom(_, arguments):
+                yield from (term.name for term in arguments if isinstance(term, Constant))
+            case Equality(left, right):
+                yield from (term.name for term in (left, right) if isinstance(term, Constant))
 
 
 def _all(parts: list[Sexp]) -> Sexp:

@@ -13,7 +13,7 @@ from itertools import product
 from typing import Literal as Choice
 from typing import TypeAlias
 
-from menid_plan.exchange.classes import Classes, subformulas
+from menid_plan.exchange.classes import Classes
 from menid_plan.exchange.flat import Flat, NotExpressibleError, distribution, value_of
 from menid_plan.model.domain import Predicate, StateReward, objects_by_type
 from menid_plan.model.formulas import (
@@ -29,6 +29,7 @@ from menid_plan.model.formulas import (
     conjunction,
     disjunction,
     negation,
+    subformulas,
 )
 from menid_plan.model.rules import Action, Literal, Outcome, UniversalEffect
 from menid_plan.model.variables import free_variables, replaced
@@ -111,11 +112,8 @@ class Model:
         for action in self.actions:
             formulas.append(action.rules[0].condition)
             for _, outcome in self.outcomes(action):
-                for effect in outcome.effects:
-                    literals = (effect,) if isinstance(effect, Literal) else effect.effects
-                    changing |= {literal.atom.predicate for literal in literals}
-                    if not isinstance(effect, Literal):
-                        formulas.append(effect.condition)
+                changing |= {literal.atom.predicate for literal in outcome.literals}
+                formulas += [e.condition for e in outcome.effects if not isinstance(e, Literal)]
         told = {e.predicate for f in formulas for e in subformulas(f) if isinstance(e, Atom)}
         every = self.domain.predicates
         dynamic = [p for p in every if p.name in changing]

@@ -94,7 +94,7 @@ class Instantiation:
         self._order = {o.name: i for i, o in enumerate(objects)}
         self._members = objects_by_type(domain, objects)
         self._ranges: dict[tuple[str, ...], tuple[str, ...]] = {}
-        self.changing = _changing(domain)
+        self.changing = domain.changing
         self._derived = {d.name: d for d in domain.derived}
         self._recursive = {d.name for s in strata(domain) if is_recursive(s) for d in s}
         self._signals: dict[GroundAtom, Signal] = {}
@@ -433,15 +433,3 @@ def _lookup(atom: Atom, name: str) -> Lookup:
     is_it = [isinstance(term, Variable) and term.name == name for term in atom.arguments]
     others = ((i, term) for i, term in enumerate(atom.arguments) if not is_it[i])
     return atom.predicate, is_it.index(True), tuple(others)
-
-
-def _changing(domain: Domain) -> set[str]:
-    """The basic predicates that some effect mentions."""
-    found: set[str] = set()
-    for action in domain.actions:
-        for rule in action.rules:
-            for outcome in rule.outcomes:
-                for effect in outcome.effects:
-                    literals = (effect,) if isinstance(effect, Literal) else effect.effects
-                    found.update(literal.atom.predicate for literal in literals)
-    return found

@@ -116,6 +116,17 @@ class Domain:
         """The name of the target environment."""
         return next(e.name for e in self.all_environments if e.role == "target")
 
+    @property
+    def changing(self) -> set[str]:
+        """The basic predicates that some effect mentions."""
+        return {
+            literal.atom.predicate
+            for action in self.actions
+            for rule in action.rules
+            for outcome in rule.outcomes
+            for literal in outcome.literals
+        }
+
     def supertypes(self, name: str) -> tuple[str, ...]:
         """A type and all that it descends from, itself first, ``object`` last."""
         parents = {t.name: t.parent for t in self.types}

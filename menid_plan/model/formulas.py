@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -165,3 +165,17 @@ def disjunction(formulas: Iterable[Formula]) -> Formula:
     if len(parts) < 2:
         return next(iter(parts), FALSE)
     return Or(tuple(parts))
+
+
+def subformulas(formula: Formula) -> Iterator[Formula]:
+    """A formula and all in it."""
+    yield formula
+    match formula:
+        case And(formulas) | Or(formulas):
+            for each in formulas:
+                yield from subformulas(each)
+        case Implies(left, right):
+            yield from subformulas(left)
+            yield from subformulas(right)
+        case Not(inner) | Exists(_, inner) | ForAll(_, inner) | Count(_, inner):
+            yield from subformulas(inner)

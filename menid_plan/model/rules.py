@@ -6,7 +6,7 @@ A rule is the paper's a_r(chi): phi(chi) -> {jp_i : Omega_i}, eq. (1) of Suárez
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -55,6 +55,12 @@ class Outcome:
     reward: Expression | None = None
     doc: str = ""
     span: Span | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def literals(self) -> Iterator[Literal]:
+        """All that its effects may add or delete, wherever it stands in them."""
+        for effect in self.effects:
+            yield from (effect,) if isinstance(effect, Literal) else effect.effects
 
     @property
     def is_noise(self) -> bool:

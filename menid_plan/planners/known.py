@@ -61,7 +61,7 @@ _PROST = ("rddl-parser-release", "search-release")
 _SEARCH = "[Prost -s 1 -se [IPC2014]]"
 
 
-def prost(search: str = _SEARCH) -> Planner:
+def prost() -> Planner:
     """PROST, by the folder in MENID_PROST or by PATH; PlannerMissingError tells where it was sought."""
     home = os.environ.get("MENID_PROST")
     found = [shutil.which(name, path=home) if home else shutil.which(name) for name in _PROST]
@@ -74,7 +74,7 @@ def prost(search: str = _SEARCH) -> Planner:
             " into one folder under these names, and set MENID_PROST to that folder"
         )
     paths = tuple(str(Path(path).resolve()) for path in found if path is not None)
-    return Planner(("./search-release", "{name}", "-p", "{port}", search), files=paths)
+    return Planner(("./search-release", "{name}", "-p", "{port}", _SEARCH), files=paths)
 
 
 def declarations() -> Path:

@@ -7,54 +7,29 @@ with an action of the domain file.
 from __future__ import annotations
 
 import time
-from contextlib import suppress
 from xml.etree import ElementTree
 
-from menid_plan.errors import MenidError
 from menid_plan.exchange.ppddl import Written
 from menid_plan.grounding.state import GroundAction
-from menid_plan.model.rules import Literal
-from menid_plan.servers.play import Player, Results, Round
+from menid_plan.servers import session
+from menid_plan.servers.play import Player
 from menid_plan.servers.wire import ProtocolError, Wire, element, words
 
 
-class Session:
+class Session(session.Session):
     """One session with one client."""
 
     def __init__(
         self, wire: Wire, written: Written, player: Player, rounds: int, turns: int, seconds: float
     ) -> None:
         """``turns``: how many actions a round has at most; ``seconds``: how long all may take."""
-        self._wire, self._written, self._player = wire, written, player
-        self._rounds, self._turns = rounds, turns
-        self._begin = time.monotonic()
-        self._seconds = seconds
+        super().__init__(wire, player, rounds, seconds)
+        self._written, self._turns = written, turns
         self._objects = {new.lower(): old for old, new in written.objects.items()}
-        changing: set[str] = set()
-        for action in player.spec.domain.actions:
-            for rule in action.rules:
-                for outcome in rule.outcomes:
-                    for effect in outcome.effects:
-                        literals = (effect,) if isinstance(effect, Literal) else effect.effects
-                        changing.update(literal.atom.predicate for literal in literals)
-        self._changing = changing & written.predicates.keys()
-        self.results = Results()
-
-    def run(self) -> Results:
-        """Play the session to its end; what is wrong with the client ends it, and is in the results."""
-        try:
-            self._play()
-        except MenidError as error:
-            self.results.failure = str(error)
-            with suppress(ProtocolError):  # nobody may be there to be told
-                self._send(element("error", error))
-        return self.results
+        self._changing = player.spec.domain.changing & written.predicates.keys()
 
     def _play(self) -> None:
-        request = self._receive()
-        if request is None or request.tag != "session-request":
-            came = "nothing" if request is None else f"`{request.tag}`"
-            raise ProtocolError(f"{came} came where `session-request` is due")
+        request = self._expect("session-request")
         self.results.client = words(request, "name")
         self._send(
             element(
@@ -107,7 +82,7 @@ class Session:
                 self._send(element("error", f"`{action}` does not apply in this state"))
                 break
             player.act(action)
-        found: Round = player.end()
+        found = player.end()
         self.results.rounds.append(found)
         spent = int(1000 * (time.monotonic() - begin))
         parts = [element("sessionID", 1), element("round", number), self._state()]
@@ -150,13 +125,7 @@ class Session:
         ]  # fmt: skip
         return element("state", "", *atoms)
 
-    def _left(self) -> int:
-        """Milliseconds that the session has left."""
-        return max(int(1000 * (self._begin + self._seconds - time.monotonic())), 0)
-
-    def _receive(self) -> ElementTree.Element | None:
-        if not self._left():
-            raise ProtocolError("the session has taken all of its time")
+    def _next(self) -> ElementTree.Element | None:
         return self._wire.receive_element()
 
     def _send(self, message: ElementTree.Element) -> None:

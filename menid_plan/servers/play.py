@@ -21,20 +21,19 @@ class Round:
     discounted: float = 0.0
     steps: int = 0
     goal: bool = False
-    finished: bool = False
 
 
 @dataclass(slots=True)
 class Results:
-    """The rounds of a session, and why it ended early, if it did."""
+    """The finished rounds of a session, and why it ended early, if it did."""
 
     client: str = ""
     rounds: list[Round] = field(default_factory=list)
     failure: str = ""
 
     def summary(self) -> dict[str, object]:
-        """What is told in JSON; ``error`` is the standard error of the mean over finished rounds."""
-        done = [each for each in self.rounds if each.finished]
+        """What is told in JSON; ``error`` is the standard error of the mean."""
+        done = self.rounds
         rewards = [each.reward for each in done]
         return {
             "client": self.client,
@@ -98,7 +97,6 @@ class Player:
     def end(self) -> Round:
         """The round, finished."""
         self.round.goal = self.semantics.is_goal(self.state)
-        self.round.finished = True
         return self.round
 
     def close(self) -> None:

@@ -9,48 +9,31 @@ from __future__ import annotations
 
 import base64
 import itertools
-import time
 from collections.abc import Iterator
 from xml.etree import ElementTree
 
-from menid_plan.errors import MenidError
 from menid_plan.exchange.rddl import Written
 from menid_plan.exchange.rddl_model import APPLIED, APPLYING
 from menid_plan.grounding.state import GroundAction, State
-from menid_plan.servers.play import Player, Results
+from menid_plan.servers import session
+from menid_plan.servers.play import Player
 from menid_plan.servers.wire import ProtocolError, Wire, element, words
 
 HEADER = b'<?xml version="1.0" encoding="UTF-8"?>'
 
 
-class Session:
+class Session(session.Session):
     """One session with one client."""
 
     def __init__(
         self, wire: Wire, written: Written, player: Player, rounds: int, seconds: float
     ) -> None:
         """``seconds``: how long the session may take in all."""
-        self._wire, self._written, self._player = wire, written, player
-        self._rounds, self._until = rounds, time.monotonic() + seconds
+        super().__init__(wire, player, rounds, seconds)
+        self._written = written
         self._bare = False
         self._fluents = list(_state_fluents(written))
         self._objects = {new: old for old, new in written.objects.items()}
-        self.results = Results()
-
-    def run(self) -> Results:
-        """Play the session to its end; what is wrong with the client ends it, and is in the results."""
-        try:
-            self._play()
-        except MenidError as error:
-            self.results.failure = str(error)
-            self._say_why(str(error))
-        return self.results
-
-    def _say_why(self, message: str) -> None:
-        try:
-            self._send(element("error", message))
-        except ProtocolError:
-            return  # nobody is there to be told
 
     # ------------------------------------------------------------------------------------ protocol
 
@@ -217,24 +200,11 @@ class Session:
     def _name(self) -> str:
         return self._player.spec.problem.name
 
-    def _left(self) -> int:
-        """Milliseconds that the session has left."""
-        return max(int(1000 * (self._until - time.monotonic())), 0)
-
     def _tell_resources(self) -> None:
         left = element("time-left", self._left())
         self._send(element("resource-notification", "", left, element("memory-left", 0)))
 
-    def _expect(self, tag: str) -> ElementTree.Element:
-        message = self._receive()
-        if message is None or message.tag != tag:
-            came = "nothing" if message is None else f"`{message.tag}`"
-            raise ProtocolError(f"{came} came where `{tag}` is due")
-        return message
-
-    def _receive(self) -> ElementTree.Element | None:
-        if not self._left():
-            raise ProtocolError("the session has taken all of its time")
+    def _next(self) -> ElementTree.Element | None:
         return self._wire.receive()
 
     def _send(self, message: ElementTree.Element) -> None:

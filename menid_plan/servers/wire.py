@@ -39,9 +39,17 @@ class Wire:
     def receive_element(self) -> ElementTree.Element | None:
         """The next message, which ends where its element does; None as above."""
         until = time.monotonic() + self._seconds
-        while (end := _end_of_element(self._rest)) is None:
-            if not self._more(until):
+        ending, fed = _Ending(), 0
+        while ending.place is None:
+            if not fed:
+                self._rest = self._rest.lstrip()
+            ending.feed(self._rest[fed:])
+            fed = len(self._rest)
+            if ending.place is None and not self._more(until):
                 return None
+        end = ending.place
+        if self._rest.startswith(b"</", end):  # an element without an end tag ends there
+            end = self._rest.index(b">", end) + 1
         message, self._rest = self._rest[:end], self._rest[end:]
         return parsed(message)
 
@@ -76,38 +84,39 @@ class Wire:
             raise ProtocolError(f"the connection broke: {error.strerror or error}") from error
 
 
-def _end_of_element(data: bytes) -> int | None:
-    """How many bytes it is to the end of the first element; None if it is not whole yet."""
-    # What comes before it is part of it.
-    blank = len(data) - len(data.lstrip())
-    depth = 0
-    found: list[int] = []
-    parser = expat.ParserCreate("utf-8")
+class _Ending:
+    """Finds where the first element ends in what is fed, piece by piece.
 
-    def begins(_name: str, _attributes: object) -> None:
-        nonlocal depth
-        depth += 1
+    ``place`` is where its end tag begins, or if it has none, where it ends; None as long as that has
+    not come.
+    """
 
-    def ends(_name: str) -> None:
-        nonlocal depth
-        depth -= 1
-        if depth == 0:
-            place = blank + parser.CurrentByteIndex
-            # An end tag begins there, and an element without one ends there.
-            tag = data[place : place + 2] == b"</"
-            found.append(data.index(b">", place) + 1 if tag else place)
+    def __init__(self) -> None:
+        self.place: int | None = None
+        self._depth = 0
+        self._parser = expat.ParserCreate("utf-8")
+        self._parser.StartElementHandler = self._begins
+        self._parser.EndElementHandler = self._ends
+        self._parser.StartDoctypeDeclHandler = self._declares
 
-    def declares(*_: object) -> None:
+    def feed(self, data: bytes) -> None:
+        """Look at some more; ProtocolError for what is no XML, or declares entities."""
+        try:
+            self._parser.Parse(data, False)
+        except expat.ExpatError as error:
+            if self.place is None:  # else it is what comes after it
+                raise ProtocolError(f"a message is no XML: {error}") from error
+
+    def _begins(self, _name: str, _attributes: object) -> None:
+        self._depth += 1
+
+    def _ends(self, _name: str) -> None:
+        self._depth -= 1
+        if self._depth == 0:
+            self.place = self._parser.CurrentByteIndex
+
+    def _declares(self, *_: object) -> None:
         raise ProtocolError("a message has declarations in its XML, which are not read")
-
-    parser.StartElementHandler, parser.EndElementHandler = begins, ends
-    parser.StartDoctypeDeclHandler = declares
-    try:
-        parser.Parse(data[blank:], False)
-    except expat.ExpatError as error:
-        if not found:  # else it is what comes after it
-            raise ProtocolError(f"a message is no XML: {error}") from error
-    return found[0] if found else None
 
 
 def parsed(message: bytes) -> ElementTree.Element:
