@@ -20,6 +20,7 @@ from menid_plan.model.domain import Domain, Problem
 from menid_plan.policy import Policy, policy_of
 from menid_plan.simulation import Simulator
 from menid_plan.solving import (
+    AskedSolver,
     Belief,
     Objective,
     OnlinePolicy,
@@ -116,7 +117,7 @@ class Task:
         Raises OptionError for an option that it does not have or a value that it refuses,
         UnsupportedError for a solver that makes no plan but decides when it is asked.
         """
-        made = _made(name, options)
+        made = made_solver(name, options)
         if not hasattr(made, "solve"):
             raise UnsupportedError(
                 f"the solver `{name}` decides step by step, and has no policy to be shown"
@@ -126,7 +127,7 @@ class Task:
     @staticmethod
     def online_solver(name: str, **options: Any) -> OnlineSolver:
         """A solver that decides when it is asked, with some options; see `solver`."""
-        made = _made(name, options)
+        made = made_solver(name, options)
         if not hasattr(made, "policy"):
             raise UnsupportedError(f"the solver `{name}` does not decide step by step")
         return cast("OnlineSolver", made)
@@ -172,8 +173,8 @@ class Task:
         return Simulator(self.structure, self.mdp)
 
 
-def _made(name: str, options: Mapping[str, Any]) -> object:
-    """A solver by its name, with the options that are not None."""
+def made_solver(name: str, options: Mapping[str, Any]) -> Solver | OnlineSolver | AskedSolver:
+    """A solver of any kind by its name, with the options that are not None; raises OptionError."""
     kind = load_solver(name)
     given = {key: value for key, value in options.items() if value is not None}
     known: set[str] = {f.name for f in fields(kind) if f.init} if is_dataclass(kind) else set()

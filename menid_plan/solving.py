@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from menid_plan.errors import MenidError
 from menid_plan.errors import MissingDependencyError as MissingDependencyError
+from menid_plan.grounding.state import GroundAction
 from menid_plan.mdp.model import MDP, Floats, Ints, SmallInts
+from menid_plan.model.domain import Domain, Problem
 
 Objective: TypeAlias = Literal["reward", "goal-then-reward", "goal-probability", "steps"]
 """What is best.
@@ -175,6 +177,30 @@ class OnlineSolver(Protocol):
         """A policy for what is believed; all that it draws comes from ``rng``."""
 
 
+class AskedSolver(Protocol):
+    """A frozen dataclass of options that chooses an action from the rules themselves.
+
+    Its answers need not be the same each time: a learning run keeps them. With ``draw``, it is to be
+    given a model drawn from what is believed, else the expected one.
+    """
+
+    name: ClassVar[str]
+    promise: ClassVar[str]
+    needs: ClassVar[str]
+
+    @property
+    def draw(self) -> bool:
+        """Whether it is to plan for a drawn model."""
+
+    def check(self) -> None:
+        """Raise a MenidError if it cannot be asked."""
+
+    def choose(
+        self, domain: Domain, problem: Problem, params: Mapping[str, float]
+    ) -> GroundAction | None:
+        """The action to take in the initial state of a problem; None if there is none."""
+
+
 class UnknownSolverError(MenidError):
     """No installed package offers a solver of that name."""
 
@@ -192,16 +218,17 @@ def solver_entry_points() -> dict[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=GROUP)}
 
 
-def load_solver(name: str) -> type[Solver] | type[OnlineSolver]:
+def load_solver(name: str) -> type[Solver] | type[OnlineSolver] | type[AskedSolver]:
     """The class of a solver's options, by its name; UnknownSolverError lists those there are.
 
-    It has a method ``solve`` (`Solver`) or ``policy`` (`OnlineSolver`), or both.
+    It has a method ``solve`` (`Solver`), ``policy`` (`OnlineSolver`), or ``choose`` (`AskedSolver`), or
+    several.
     """
     found = solver_entry_points()
     if name not in found:
         known = ", ".join(sorted(found)) or "none"
         raise UnknownSolverError(f"there is no solver `{name}`; installed: {known}")
-    loaded: type[Solver] | type[OnlineSolver] = found[name].load()
+    loaded: type[Solver] | type[OnlineSolver] | type[AskedSolver] = found[name].load()
     return loaded
 
 

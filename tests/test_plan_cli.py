@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -99,7 +100,7 @@ def test_a_planner_that_a_user_declared(menid: Menid, coins: Path) -> None:
     assert text.stdout.splitlines() == [
         f"fake: reward {found['mean']:.6g} +- {found['error']:.4g} in 60 rounds, "
         f"{found['goal_rate']:.0%} of them to the goal",
-        "best: 4.5",
+        "best reward: 4.5",
     ]
 
 
@@ -234,9 +235,9 @@ def test_the_doctor_tells_what_is_there(
     result = menid("doctor", "--planners", "planners.toml", "--json")
     assert result.exit_code == 0, result.output
     found = {each["name"]: each for each in json.loads(result.stdout)}
-    assert {name: each["there"] for name, each in found.items() if name != "storm"} == {
-        "prost": False, "fake": False, "good": True, "gone": False,
-    }  # fmt: skip
+    assert list(found) == ["prost", "mdpsim-client", "storm", "fake", "good", "gone"]
+    there = {name: found[name]["there"] for name in ("prost", "fake", "good", "gone")}
+    assert there == {"prost": False, "fake": False, "good": True, "gone": False}
     assert "MENID_PROST names; build it from" in found["prost"]["told"]
     assert "there is no file /nowhere/x" in found["fake"]["told"]
     assert "no-such-program, which is no program in PATH" in found["gone"]["told"]
@@ -295,3 +296,70 @@ def test_a_planner_that_reads_ppddl(menid: Menid, coins: Path) -> None:
     result = plan(menid, "--states")
     assert result.exit_code == 2
     assert "this planner reads RDDL" in result.stderr
+
+
+def test_the_client_of_mdpsim(menid: Menid, coins: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A program of that name in PATH, called as the real one has it."""
+    result = menid("plan", "coins.menid", "--with", "mdpsim-client")
+    assert result.exit_code == 5
+    assert "mdpclient was not found in the folders of PATH; build it" in result.stderr
+    script = (
+        f"#!{sys.executable}\nimport sys\n"
+        "assert sys.argv[1:4:2] == ['-H', '-P'], sys.argv\n"
+        "sys.argv[1:] = [sys.argv[4], *sys.argv[5:], 'two']\n"
+    )
+    program = coins / "mdpclient"
+    program.write_text(script + PPDDL_CLIENT, encoding="utf-8")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(coins), prepend=os.pathsep)
+    result = menid("plan", "coins.menid", "--with", "mdpsim-client", "--rounds", "3")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith("mdpsim-client: reward ")
+
+
+def test_a_solver_plays(menid: Menid, coins: Path) -> None:
+    """Its own policy, in the environment; beside it the best of the same objective."""
+    result = menid("plan", "coins.menid", "--with", "value-iteration", "--rounds", "400", "--json")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert found["objective"] == "reward"
+    assert set(found["rewards"]) == {7.0, 6.0, -2.0}
+    assert found["best"] == pytest.approx(4.5, abs=1e-6)
+    assert abs(found["mean"] - 4.5) < 4 * found["error"]
+    text = COIN.replace("horizon 2", "") + "discount 1\n"
+    (coins / "coins.menid").write_text(text, encoding="utf-8")
+    result = menid("plan", "coins.menid", "--with", "policy-iteration", "--rounds", "400")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.endswith("best goal-then-reward: 4.5\n")
+
+
+def test_a_solver_where_the_environment_does_what_the_domain_does_not_foresee(
+    menid: Menid, coins: Path
+) -> None:
+    """In the domain, a coin never shows heads; in the environment, it does so half of the time."""
+    text = COIN.replace("cost 1 {", "cost 1 {\n").replace(
+        "outcomes { head: 0.5", "outcomes bad good { head: 0 0.5"
+    ).replace("tail: 0.5", "tail: 1 0.5").replace(
+        "type coin", "type coin\nenvironment bad : target\nenvironment good : test"
+    )  # fmt: skip
+    text += "object more: coin\n"
+    (coins / "coins.menid").write_text(text.replace("horizon 2", "horizon 3"), encoding="utf-8")
+    (coins / "run.toml").write_text(
+        "[environment.bad]\nkind = 'simulated'\n[environment.bad.settings]\ncolumn = 'good'\n"
+    )
+    options = ("--run", "run.toml", "--with", "value-iteration", "--rounds", "200", "--json")
+    result = menid("plan", "coins.menid", *options)
+    assert result.exit_code == 0, result.output
+    assert set(json.loads(result.stdout)["rewards"]) == {7.0, 6.0, 5.0, -3.0}
+
+
+def test_solvers_that_do_not_play(menid: Menid, coins: Path) -> None:
+    result = menid("plan", "coins.menid", "--with", "thompson")
+    assert result.exit_code == 4
+    assert "decides step by step" in result.stderr
+    result = menid("plan", "coins.menid", "--with", "value-iteration", "--grounded")
+    assert result.exit_code == 2
+    assert "--grounded: the solver `value-iteration` reads no exported files" in result.stderr
+    result = menid("plan", "coins.menid", "--with", "valu-iteration")
+    assert result.exit_code == 3
+    assert "did you mean `value-iteration`?" in result.stderr

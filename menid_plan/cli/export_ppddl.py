@@ -13,7 +13,6 @@ from menid_plan.cli.exporting import (
     in_form,
     learned_option,
     load_learned,
-    tell_renamed,
     write_texts,
 )
 from menid_plan.cli.tasks import Display, TaskOptions, explore, task_options
@@ -23,8 +22,6 @@ if TYPE_CHECKING:
     from menid_plan.exchange.ppddl import Written
     from menid_plan.planning import Task
 
-# What each form is called when it had to be taken.
-_TOLD = {"lifted": "lifted", "grounded": "grounded", "states": "state by state"}
 FORMS = (
     ("lifted", "Rules as actions with parameters, or nothing."),
     ("grounded", "Every ground rule as an action without parameters."),
@@ -63,19 +60,9 @@ def command(
 
 def in_first_form(task: Task, form: str | None) -> Written:
     """The PPDDL of a task in a form, or in the first that can say all, which is told."""
-    texts = in_form(form, _TOLD, lambda form: _written(task, form))
-    tell_renamed("PPDDL", texts.renamed)
-    return texts
+    from menid_plan.texts import PPDDL_FORMS, ppddl_text
 
+    def write(form: str) -> Written:
+        return ppddl_text(task, form, lambda task: explore(task, Display()))
 
-def _written(task: Task, form: str) -> Written:
-    from menid_plan.exchange.grounded import grounded
-    from menid_plan.exchange.lifted import lifted
-    from menid_plan.exchange.ppddl import ppddl
-    from menid_plan.exchange.ppddl_states import ppddl_states
-
-    if form == "states":
-        explore(task, Display())
-        return ppddl_states(task.domain, task.problem, task.structure, task.mdp)
-    make = lifted if form == "lifted" else grounded
-    return ppddl(make(task.domain, task.problem, task.environment, task.params, task.noise))
+    return in_form(form, PPDDL_FORMS, write, "PPDDL")

@@ -15,7 +15,6 @@ from menid_plan.cli.exporting import (
     in_form,
     learned_option,
     load_learned,
-    tell_renamed,
     write_texts,
 )
 from menid_plan.cli.tasks import TaskOptions, task_options
@@ -87,7 +86,6 @@ def command(
     task = which.task(domain, problem)
     task.environment = environment or task.environment
     texts = _in_first_form(task, form, dialect, stopping=stopping)
-    tell_renamed("RDDL", texts.renamed)
     write_texts(files, folder, {"domain.rddl": texts.domain, "instance.rddl": texts.instance})
 
 
@@ -100,24 +98,15 @@ def for_prost(spec: EnvironmentSpec, form: str | None) -> Written:
 
 
 def _in_first_form(task: Task, form: str | None, dialect: Dialect, *, stopping: bool) -> Written:
+    from menid_plan.texts import RDDL_FORMS, rddl_text
+
     horizon = task.problem.horizon
     if horizon is None:
         raise click.UsageError(
             f"problem `{task.problem.name}` has no horizon, and RDDL must have one: give --horizon"
         )
-    return in_form(
-        form,
-        {name: name for name, _ in FORMS},
-        lambda form: _written(task, form, dialect, horizon, stopping=stopping),
-    )
 
+    def write(form: str) -> Written:
+        return rddl_text(task, form, dialect, horizon, stopping=stopping)
 
-def _written(task: Task, form: str, dialect: Dialect, horizon: int, *, stopping: bool) -> Written:
-    from menid_plan.exchange.classes import propositional
-    from menid_plan.exchange.grounded import grounded
-    from menid_plan.exchange.lifted import lifted
-    from menid_plan.exchange.rddl import rddl
-
-    of_task = (task.domain, task.problem, task.environment, task.params, task.noise)
-    flat = lifted(*of_task, split=False) if form == "lifted" else propositional(grounded(*of_task))
-    return rddl(flat, dialect, horizon, stopping=stopping)
+    return in_form(form, RDDL_FORMS, write, "RDDL")

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import click
 
@@ -16,7 +16,13 @@ from menid_plan.files import replace_file
 if TYPE_CHECKING:
     from menid_plan.model.domain import Domain, Problem
 
-_Text = TypeVar("_Text")
+
+class _Renaming(Protocol):
+    @property
+    def renamed(self) -> Mapping[str, str]: ...
+
+
+_Text = TypeVar("_Text", bound=_Renaming)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,31 +82,23 @@ def form_option(*forms: tuple[str, str]) -> Callable[[Any], Any]:
     return decorate
 
 
-def in_form(form: str | None, told: Mapping[str, str], write: Callable[[str], _Text]) -> _Text:
+def in_form(
+    form: str | None, forms: Sequence[str], write: Callable[[str], _Text], language: str
+) -> _Text:
     """What is written in a form, or if it is None, in the first of those in which all can be said.
 
-    ``told`` has the forms, with what each is called when it had to be taken in place of one before.
+    Tells if it is another than the first, and which names had to be changed.
     """
-    from menid_plan.errors import LimitError
-    from menid_plan.exchange.flat import NotExpressibleError
+    from menid_plan.texts import first_form
 
-    reasons: list[str] = []
-    last: NotExpressibleError | LimitError | None = None
-    for each in [form] if form else told:
-        try:
-            text = write(each)
-        except (NotExpressibleError, LimitError) as error:
-            last = error
-            if str(error) not in reasons:
-                reasons.append(str(error))
-        else:
-            if reasons:
-                click.echo(f"menid: {told[each]}, since {reasons[0]}", err=True)
-            return text
-    assert last is not None
-    if len(reasons) < 2:
-        raise last
-    raise NotExpressibleError("; ".join(reasons))
+    found = first_form([form] if form else forms, write)
+    if found.reason:
+        called = "state by state" if found.form == "states" else found.form
+        click.echo(f"menid: {called}, since {found.reason}", err=True)
+    if found.written.renamed:
+        listed = ", ".join(f"`{old}` to `{new}`" for new, old in found.written.renamed.items())
+        click.echo(f"menid: renamed, since {language} has other uses for them: {listed}", err=True)
+    return found.written
 
 
 def write_texts(
@@ -113,10 +111,3 @@ def write_texts(
     for path, text in zip(paths, texts.values(), strict=True):
         replace_file(path, text.encode())
     tell_written(paths, err=err)
-
-
-def tell_renamed(language: str, renamed: Mapping[str, str]) -> None:
-    """Say which names had to be changed."""
-    if renamed:
-        listed = ", ".join(f"`{old}` to `{new}`" for new, old in renamed.items())
-        click.echo(f"menid: renamed, since {language} has other uses for them: {listed}", err=True)

@@ -31,7 +31,7 @@ _COMMANDS = {
     "import": "Translate a model of other planners into MENID.",
     "init": "Write a commented domain and problem to start from.",
     "doctor": "Say which planners of others are found, and how to get them.",
-    "plan": "Let a planner of others act, and compare it with the best.",
+    "plan": "Let a planner act, and compare it with the best there is.",
     "serve": "Let planners of others act in an environment.",
     "simulate": "Draw episodes under a policy, and print what they earn.",
     "solve": "Find the best policy, with bounds on its value.",

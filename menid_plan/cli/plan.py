@@ -1,10 +1,10 @@
-"""`menid plan`: let a planner of others act, and compare it with the best there is."""
+"""`menid plan`: let a planner act in an environment, and compare it with the best there is."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,17 +20,17 @@ from menid_plan.cli.serving import RoundOptions, round_options
 
 if TYPE_CHECKING:
     from menid_plan.environments.registry import EnvironmentSpec
-    from menid_plan.servers.play import Player, Results
-    from menid_plan.servers.wire import Wire
-
-    _Session = tuple[dict[str, str], Callable[[Wire, Player], Results]]
+    from menid_plan.planners.known import Planner
+    from menid_plan.planners.run import Run
+    from menid_plan.planning import Task
+    from menid_plan.solving import Objective, Solver
 
 
 @click.command("plan")
 @round_options
 @click.option(
     "--with", "name", required=True, metavar="NAME",
-    help="The planner: prost, or one that is declared.",
+    help="The planner: prost, mdpsim-client, one that is declared, or a solver of `menid solvers`.",
 )  # fmt: skip
 @click.option(
     "--planners", "declarations", metavar="FILE.toml",
@@ -47,32 +47,34 @@ def command(
     form: str | None,
     as_json: bool,
 ) -> None:
-    """Let a planner of others play rounds in an environment, and tell its mean reward.
+    """Let a planner of others, or a solver, play rounds in an environment, and tell its mean reward.
 
     Beside it stands the best that the domain's numbers promise. Exits with 5 if the planner fails,
     with the last that it said.
     """
-    from menid_plan.planners.known import planner
-    from menid_plan.planners.run import run
+    from menid_plan.planners.known import is_known, planner
     from menid_plan.planning import Task
-    from menid_plan.servers.play import Player
+    from menid_plan.solving import solver_entry_points
 
-    chosen = planner(name, declarations)
-    spec = play.spec(*load_both(files))
-    texts, session = (_in_ppddl if chosen.protocol == "mdpsim" else _in_rddl)(spec, play, form)
-
-    def begin(wire: Wire) -> Results:
-        player = Player(spec, play.seed)
-        try:
-            return session(wire, player)
-        finally:
-            player.close()
-
-    found = run(chosen, texts, begin, play.seconds)
+    if name in solver_entry_points() and not is_known(name, declarations):
+        if form is not None:
+            raise click.UsageError(f"--{form}: the solver `{name}` reads no exported files")
+        solver = Task.solver(name)
+        spec = play.spec(*load_both(files))
+        found = _by_solver(name, solver, spec, play)
+        objective = Task(spec.domain, spec.problem).objective
+    else:
+        chosen = planner(name, declarations)
+        spec = play.spec(*load_both(files))
+        found = _by_others(chosen, spec, play, form)
+        objective = "reward"  # all that the protocols know of
     problem = replace(spec.problem, discount=None)
-    best, why = _best(Task(spec.domain, problem, spec.name, dict(spec.params)))
+    best, why = _best(Task(spec.domain, problem, spec.name, dict(spec.params)), objective)
     summary: dict[str, Any] = found.results.summary() if found.results is not None else {}
-    summary |= {"planner": name, "failure": found.failure, "best": best, "horizon": problem.horizon}
+    summary |= {
+        "planner": name, "failure": found.failure, "best": best, "objective": objective,
+        "horizon": problem.horizon,
+    }  # fmt: skip
     if as_json:
         click.echo(json.dumps(summary, indent=2))
     elif summary.get("rounds"):
@@ -81,7 +83,11 @@ def command(
         click.echo(
             f"{name}: reward {summary['mean']:.6g}{error} in {summary['rounds']} rounds{goal}"
         )
-        click.echo(f"best: {best:.6g}" if best is not None else f"best: not known: {why}")
+        click.echo(
+            f"best {objective}: {best:.6g}"
+            if best is not None
+            else f"best {objective}: not known: {why}"
+        )
     if found.failure:
         if found.output.strip():
             click.echo(found.output.rstrip(), err=True)
@@ -89,37 +95,47 @@ def command(
         click.get_current_context().exit(5)
 
 
-def _in_rddl(spec: EnvironmentSpec, play: RoundOptions, form: str | None) -> _Session:
-    """The files of a planner that reads RDDL, and what it is played with."""
-    from menid_plan.servers.rddlsim import Session
-
-    if form == "states":
-        raise click.UsageError("--states: this planner reads RDDL, which is lifted or grounded")
-    texts = for_prost(spec, form)
-    return {"domain.rddl": texts.domain, "instance.rddl": texts.instance}, (
-        lambda wire, player: Session(wire, texts, player, play.rounds, play.seconds).run()
-    )
-
-
-def _in_ppddl(spec: EnvironmentSpec, play: RoundOptions, form: str | None) -> _Session:
-    """The files of a planner that reads PPDDL, and what it is played with."""
+def _by_others(chosen: Planner, spec: EnvironmentSpec, play: RoundOptions, form: str | None) -> Run:
+    """What comes of a planner of others that plays."""
+    from menid_plan.planners.games import ppddl_game, rddl_game
+    from menid_plan.planners.run import run
     from menid_plan.planning import Task
-    from menid_plan.servers.mdpsim import Session
+    from menid_plan.servers.play import Player
 
-    texts = in_first_form(Task(spec.domain, spec.problem, spec.name, dict(spec.params)), form)
+    if chosen.protocol == "mdpsim":
+        task = Task(spec.domain, spec.problem, spec.name, dict(spec.params))
+        turns = spec.problem.horizon or TURNS
+        game = ppddl_game(in_first_form(task, form), play.rounds, turns, play.seconds)
+    elif form == "states":
+        raise click.UsageError("--states: this planner reads RDDL, which is lifted or grounded")
+    else:
+        game = rddl_game(for_prost(spec, form), play.rounds, play.seconds)
+    with closing(Player(spec, play.seed)) as player:
+        return run(chosen, game.files, lambda wire: game.play(wire, player), play.seconds)
+
+
+def _by_solver(name: str, solver: Solver, spec: EnvironmentSpec, play: RoundOptions) -> Run:
+    """What comes of a policy that a solver makes."""
+    from menid_plan.planners.own import Decider
+    from menid_plan.planners.own import play as played
+    from menid_plan.planners.run import Run
+    from menid_plan.planning import Task
+    from menid_plan.servers.play import Player
+
+    decider = Decider(Task(spec.domain, spec.problem, spec.name, dict(spec.params)), solver)
     turns = spec.problem.horizon or TURNS
-    return {"domain.pddl": texts.domain, "problem.pddl": texts.problem}, (
-        lambda wire, player: Session(wire, texts, player, play.rounds, turns, play.seconds).run()
-    )
+    with closing(Player(spec, play.seed)) as player:
+        results = played(decider, name, player, play.rounds, turns, play.seconds)
+    return Run(results, results.failure, "")
 
 
-def _best(task: Any) -> tuple[float | None, str]:
-    """The best mean reward by the domain's numbers, not discounted, or why it is not known."""
+def _best(task: Task, objective: Objective) -> tuple[float | None, str]:
+    """The best that the domain's numbers promise, not discounted, or why it is not known."""
     from menid_plan.errors import MenidError
 
     try:
         task.build()
-        value = task.solve(task.solver("value-iteration"), "reward").value
+        value = task.solve(task.solver("value-iteration"), objective).value
         return (value, "") if math.isfinite(value) else (None, "it has no bound")
     except MenidError as error:
         return None, str(error)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -11,10 +10,6 @@ from menid_plan.cli.common import load_both
 from menid_plan.cli.export_ppddl import FORMS, in_first_form
 from menid_plan.cli.exporting import form_option, write_texts
 from menid_plan.cli.serving import RoundOptions, ServerOptions, round_options, server_options
-
-if TYPE_CHECKING:
-    from menid_plan.servers.play import Player, Results
-    from menid_plan.servers.wire import Wire
 
 TURNS = 1000  # actions of a round of a problem without a horizon
 
@@ -40,17 +35,11 @@ def command(
     A round ends at a goal, at a dead end, or after as many actions as the horizon has steps: 1000, if
     there is none. Exits with 5 if a session ended early.
     """
+    from menid_plan.planners.games import ppddl_game
     from menid_plan.planning import Task
-    from menid_plan.servers.mdpsim import Session
 
     spec = play.spec(*load_both(files))
     texts = in_first_form(Task(spec.domain, spec.problem, spec.name, dict(play.settings)), form)
-    write_texts(
-        files, folder, {"domain.pddl": texts.domain, "problem.pddl": texts.problem}, err=True
-    )
-    turns = spec.problem.horizon or TURNS
-
-    def session(wire: Wire, player: Player) -> Results:
-        return Session(wire, texts, player, play.rounds, turns, play.seconds).run()
-
-    server.serve(spec, play.seed, session)
+    game = ppddl_game(texts, play.rounds, spec.problem.horizon or TURNS, play.seconds)
+    write_texts(files, folder, game.files, err=True)
+    server.serve(spec, play.seed, game.play)

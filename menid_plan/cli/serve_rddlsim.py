@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -11,10 +10,6 @@ from menid_plan.cli.common import load_both
 from menid_plan.cli.export_rddl import FORMS, for_prost
 from menid_plan.cli.exporting import form_option, write_texts
 from menid_plan.cli.serving import RoundOptions, ServerOptions, round_options, server_options
-
-if TYPE_CHECKING:
-    from menid_plan.servers.play import Player, Results
-    from menid_plan.servers.wire import Wire
 
 
 @click.command("rddlsim")
@@ -37,15 +32,10 @@ def command(
     The client is told the problem as `menid export rddl --dialect prost` writes it. Exits with 5 if a
     session ended early.
     """
-    from menid_plan.servers.rddlsim import Session
+    from menid_plan.planners.games import rddl_game
 
     spec = play.spec(*load_both(files))
-    texts = for_prost(spec, form)
+    game = rddl_game(for_prost(spec, form), play.rounds, play.seconds)
     if folder is not None:
-        written = {"domain.rddl": texts.domain, "instance.rddl": texts.instance}
-        write_texts(files, folder, written, err=True)
-
-    def session(wire: Wire, player: Player) -> Results:
-        return Session(wire, texts, player, play.rounds, play.seconds).run()
-
-    server.serve(spec, play.seed, session)
+        write_texts(files, folder, game.files, err=True)
+    server.serve(spec, play.seed, game.play)

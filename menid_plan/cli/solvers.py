@@ -39,6 +39,7 @@ def _described(name: str, kind: type[Any]) -> dict[str, Any]:
         "promise": kind.promise,
         "solves": hasattr(kind, "solve"),
         "acts": hasattr(kind, "policy"),
+        "asked": hasattr(kind, "choose"),
         "needs": needs,
         "available": not needs or installed(needs),
         "about": inspect.getdoc(kind) or "",
@@ -56,6 +57,7 @@ def _options(kind: type[Any]) -> dict[str, Any]:
 def _kind(solver: dict[str, Any]) -> str:
     words = ["solves"] if solver["solves"] else []
     words += ["acts step by step"] if solver["acts"] else []
+    words += ["is asked for each action by `menid learn`"] if solver["asked"] else []
     return " and ".join(words)
 
 

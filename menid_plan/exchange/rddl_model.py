@@ -72,6 +72,7 @@ class Model:
         self.members = objects_by_type(self.domain, self.objects)
         self.chances = {action.name: self._rows(action) for action in self.actions}
         self._outcomes = {action.name: self._possible(action) for action in self.actions}
+        self._changing: dict[tuple[str, bool], dict[str, Action]] = {}
         self.dynamic, self.static = self._predicates()
         goal = self.problem.goal or FALSE
         self.over = disjunction([goal, Atom(STOPPED) if self.stop else FALSE])
@@ -108,14 +109,16 @@ class Model:
 
     def _predicates(self) -> tuple[list[Predicate], list[Predicate]]:
         formulas = [self.problem.goal or TRUE, *(r.condition for r in self.domain.rewards)]
-        changing = set()
         for action in self.actions:
             formulas.append(action.rules[0].condition)
             for _, outcome in self.outcomes(action):
-                changing |= {literal.atom.predicate for literal in outcome.literals}
+                for literal in outcome.literals:
+                    key = literal.atom.predicate, literal.positive
+                    self._changing.setdefault(key, {})[action.name] = action
                 formulas += [e.condition for e in outcome.effects if not isinstance(e, Literal)]
         told = {e.predicate for f in formulas for e in subformulas(f) if isinstance(e, Atom)}
         every = self.domain.predicates
+        changing = {predicate for predicate, _ in self._changing}
         dynamic = [p for p in every if p.name in changing]
         return dynamic, [p for p in every if p.name in told - changing]
 
@@ -171,7 +174,7 @@ class Model:
     def _changed(self, predicate: str, own: tuple[Variable, ...], *, positive: bool) -> Formula:
         """Whether some effect makes an atom of these arguments true, or false."""
         found = []
-        for action in self.actions:
+        for action in self._changing.get((predicate, positive), {}).values():
             outcomes = self.outcomes(action)
             # Where, over which variables, to which arguments: in which outcomes.
             where: dict[tuple[Formula, tuple[TypedVariable, ...], tuple[Term, ...]], list[Atom]]

@@ -152,6 +152,13 @@ class SlotBelief:
         """Probabilities of every slot, drawn from what is believed."""
         return self._joined([self.evidence.belief(key).sample(rng) for key in self.keys])
 
+    def domain(self, rng: np.random.Generator | None) -> Domain:
+        """The domain with probabilities drawn from what is believed; without ``rng``, the expected."""
+        beliefs = [self.evidence.belief(key) for key in self.keys]
+        chances = [b.estimate() if rng is None else b.sample(rng) for b in beliefs]
+        evidence = self.evidence
+        return domain_with(evidence.domain, evidence.environments[0], self.keys, chances)
+
     @staticmethod
     def _joined(parts: list[Floats]) -> Floats:
         return np.concatenate(parts) if parts else np.zeros(0)
@@ -199,27 +206,58 @@ def _learned_rule(
     evidence: Evidence, action: str, rule: Rule, keys: Sequence[DistributionKey]
 ) -> Rule:
     """A rule with what was learned of its distributions, ``keys`` being those that were seen."""
-    target = evidence.environments[0]
     estimated = [key for key in keys if evidence.knows(key)]
-    if rule.probability_cells(target) is None and not any(not k.values for k in estimated):
+    if rule.probability_cells(evidence.environments[0]) is None and not any(
+        not k.values for k in estimated
+    ):
         estimated.insert(0, DistributionKey(action, rule.name))
-    probabilities = _without(rule.probabilities, (target,), {key.values for key in estimated})
+    chances = {key.values: evidence.belief(key).estimate() for key in estimated}
+    rule = _with_chances(rule, evidence.environments[0], chances, evidence.domain)
     observed = _without(rule.observed, evidence.environments, {key.values for key in keys})
     names = [outcome.name for outcome in rule.outcomes]
-    for key in estimated:
-        estimate = [Number(float(p)) for p in evidence.belief(key).estimate()]
-        if not key.values and rule.has_column:
-            rule = _with_column(rule, target, estimate, evidence.domain)
-        else:
-            rows = tuple((name, (cell,)) for name, cell in zip(names, estimate, strict=True))
-            probabilities.append(Block((target,), key.values, rows))
     for key in keys:
         counts = evidence.counts(key)
         seen = tuple(
             (name, tuple(Number(float(c)) for c in counts[:, i])) for i, name in enumerate(names)
         )
         observed.append(Block(evidence.environments, key.values, seen))
-    return replace(rule, probabilities=tuple(probabilities), observed=tuple(observed))
+    return replace(rule, observed=tuple(observed))
+
+
+def domain_with(
+    domain: Domain, target: str, keys: Sequence[DistributionKey], chances: Sequence[Floats]
+) -> Domain:
+    """The domain with these probabilities (float64[outcomes] each) for some of its target's."""
+    of_rule: dict[tuple[str, str], dict[tuple[str, ...], Floats]] = {}
+    for key, column in zip(keys, chances, strict=True):
+        of_rule.setdefault((key.action, key.rule), {})[key.values] = column
+    actions = (
+        replace(
+            action,
+            rules=tuple(
+                _with_chances(r, target, of_rule.get((action.name, r.name), {}), domain)
+                for r in action.rules
+            ),
+        )
+        for action in domain.actions
+    )
+    return replace(domain, actions=tuple(actions))
+
+
+def _with_chances(
+    rule: Rule, target: str, chances: Mapping[tuple[str, ...], Floats], domain: Domain
+) -> Rule:
+    """A rule with probabilities for the target, by the values of its distributions."""
+    probabilities = _without(rule.probabilities, (target,), set(chances))
+    names = [outcome.name for outcome in rule.outcomes]
+    for values, column in chances.items():
+        cells = [Number(float(p)) for p in column]
+        if not values and rule.has_column:
+            rule = _with_column(rule, target, cells, domain)
+        else:
+            rows = tuple((name, (cell,)) for name, cell in zip(names, cells, strict=True))
+            probabilities.append(Block((target,), values, rows))
+    return replace(rule, probabilities=tuple(probabilities))
 
 
 def _with_column(

@@ -2,7 +2,8 @@
 
 A line is an object with ``event``, ``when`` (seconds since 1970) and more. What is needed to resume
 stands here as well: executions that were given up, since another attempt might succeed and the run go
-on otherwise than it did, and episodes that could not be gone on with.
+on otherwise than it did, episodes that could not be gone on with, and what was decided by someone
+who may decide otherwise the next time.
 """
 
 from __future__ import annotations
@@ -22,12 +23,14 @@ Reason: TypeAlias = Literal["failed", "cannot-reset"]
 class Events:
     """The events of a run, those that were there already read.
 
-    ``failed`` counts attempts at executions by environment that came to nothing.
+    ``failed`` counts attempts at executions by environment that came to nothing. ``decisions`` has what
+    was decided, by the number of the decision.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self.failed: Counter[str] = Counter()
+        self.decisions: dict[int, GroundAction | None] = {}
         self._given_up: dict[tuple[str, str, int], Reason] = {}
         self._broken_off: Counter[int] = Counter()
         if path.exists():
@@ -48,9 +51,13 @@ class Events:
                 case "given up":
                     key = event["environment"], event["action"], event["number"]
                     self._given_up[key] = event["reason"]
+                case "decided":
+                    found = event["action"]
+                    action = None if found is None else GroundAction(found[0], tuple(found[1]))
+                    self.decisions[event["number"]] = action
                 case "broken off":
                     self._broken_off[event["step"]] += 1
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, LookupError, TypeError):
             return  # whoever wrote it, it was not this program
 
     def write(self, event: str, **more: Any) -> None:

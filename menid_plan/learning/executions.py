@@ -92,6 +92,16 @@ class Executions:
             self._pool.close()
             self._leave()
 
+    def decided(self, number: int, ask: Callable[[], GroundAction | None]) -> GroundAction | None:
+        """Decision ``number`` of someone who is asked: what it was before, else the answer, noted."""
+        if number in self._events.decisions:
+            return self._events.decisions[number]
+        self._interrupts.check()
+        with self._interrupts.allowed():
+            action = ask()
+        self._events.write("decided", number=number, action=action)
+        return action
+
     # ------------------------------------------------------------------------------------- tests
 
     def tests(

@@ -99,6 +99,7 @@ class Loop:
         self._deltas: dict[tuple[str, DistributionKey], float] = {}
         self._in_episode = False
         self._episode_step = 0
+        self._decisions = 0
         self._idle = 0
 
     # ------------------------------------------------------------------------------ the algorithm
@@ -122,7 +123,7 @@ class Loop:
             self._end_episode("an episode is over")
             return
         state = self.state  # 3
-        action = self.planner.decide(state, self._left)  # 4, 5
+        action = self._decide(state)  # 4, 5
         if action is None:
             self._end_episode("the solver knows no action")
             return
@@ -135,6 +136,14 @@ class Loop:
             self.marked.discard(action)  # 16
             self._execute(state, action)  # 17, 18
         self.planner.learned()  # 20
+
+    def _decide(self, state: State) -> GroundAction | None:
+        if not self.planner.is_asked:
+            return self.planner.decide(state, self._left)
+        self._decisions += 1
+        return self.executions.decided(
+            self._decisions, lambda: self.planner.decide(state, self._left)
+        )
 
     def _not_known_well(self, state: State, action: GroundAction) -> tuple[EnvironmentSpec, ...]:
         """The tests to try an action in, since its distribution there is not known well enough."""

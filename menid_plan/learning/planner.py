@@ -17,6 +17,7 @@ from menid_plan.mdp.explore import MAX_STATES, Structure, explore
 from menid_plan.mdp.model import MDP, Floats, Ints
 from menid_plan.model.domain import Domain, Problem
 from menid_plan.solving import (
+    AskedSolver,
     Belief,
     Objective,
     OnlinePolicy,
@@ -43,7 +44,7 @@ class Planner:
         domain: Domain,
         problem: Problem,
         evidence: Evidence,
-        solver: Solver | OnlineSolver,
+        solver: Solver | OnlineSolver | AskedSolver,
         objective: Objective,
         rng: np.random.Generator,
         params: Mapping[str, float] | None = None,
@@ -66,8 +67,22 @@ class Planner:
         what no action can do.
         """
         model, number = self._model(state)
+        if self.is_asked:
+            return self._asked(model, state, left)
         row = model.row(number, left)
         return None if row < 0 else model.action(row)
+
+    def _asked(self, model: _Model, state: State, left: int | None) -> GroundAction | None:
+        """What someone else chooses by the rules, with probabilities as they are believed."""
+        solver = cast("AskedSolver", self.solver)
+        domain = model.posterior.domain(self.rng if solver.draw else None)
+        problem = replace(self.problem, init=tuple(sorted(state)), horizon=left)
+        return solver.choose(domain, problem, self.params)
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether someone else is asked, who may answer in another way the next time."""
+        return hasattr(self.solver, "choose")
 
     def best(self) -> tuple[GroundAction | None, float, float | None]:
         """The best first action of the problem by what was learned, its value, and the goal's chance.

@@ -35,8 +35,8 @@ from menid_plan.learning.executions import Executions
 from menid_plan.learning.loop import Loop, Progress
 from menid_plan.learning.planner import Planner
 from menid_plan.learning.settings import LearnSettings
-from menid_plan.planning import OptionError, Task
-from menid_plan.solving import OnlineSolver, Solver, UnknownSolverError, UnsupportedError
+from menid_plan.planning import OptionError, Task, made_solver
+from menid_plan.solving import AskedSolver, OnlineSolver, Solver, UnknownSolverError
 
 STORE = "experiences.sqlite"
 SETTINGS = "settings.json"
@@ -258,13 +258,13 @@ def made_estimator(settings: LearnSettings, environments: int) -> Estimator:
     return found
 
 
-def _made_solver(settings: LearnSettings) -> Solver | OnlineSolver:
+def _made_solver(settings: LearnSettings) -> Solver | OnlineSolver | AskedSolver:
     name, options = settings.solver, dict(settings.solver_options)
     try:
-        try:
-            return Task.online_solver(name, **options)
-        except UnsupportedError:
-            return Task.solver(name, **options)
+        found = made_solver(name, options)
+        if hasattr(found, "check"):
+            found.check()
+        return found
     except UnknownSolverError as error:
         raise SettingError("learn.solver", str(error)) from error
     except (OptionError, TypeError) as error:

@@ -15,6 +15,7 @@ from platformdirs import user_config_path
 
 from menid_plan.environments.settings import read_settings, unknown
 from menid_plan.errors import MenidError
+from menid_plan.solving import solver_entry_points
 
 # What may stand in a command in curly brackets.
 PLACES = ("folder", "domain", "instance", "name", "host", "port")
@@ -77,6 +78,20 @@ def prost() -> Planner:
     return Planner(("./search-release", "{name}", "-p", "{port}", _SEARCH), files=paths)
 
 
+def mdpsim_client() -> Planner:
+    """The client that comes with mdpsim (Younes et al. 2005), which takes actions at random."""
+    if shutil.which("mdpclient") is None:
+        raise PlannerMissingError(
+            "mdpclient was not found in the folders of PATH; build it from github.com/hlsyounes/mdpsim"
+        )
+    command = ("mdpclient", "-H", "{host}", "-P", "{port}", "{domain}", "{instance}")
+    return Planner(command, protocol="mdpsim")
+
+
+# Those that the project knows, and where they are.
+KNOWN = {"prost": prost, "mdpsim-client": mdpsim_client}
+
+
 def declarations() -> Path:
     """The file in which users declare planners."""
     return user_config_path("menid-plan", appauthor=False) / "planners.toml"
@@ -112,14 +127,20 @@ def declared(path: Path | None = None) -> dict[str, Planner]:
     return planners
 
 
+def is_known(name: str, path: Path | None = None) -> bool:
+    """Whether a planner of that name is declared, or known."""
+    return name in KNOWN or name in declared(path)
+
+
 def planner(name: str, path: Path | None = None) -> Planner:
     """The planner of that name: a declared one first, then one that is known."""
     found = declared(path)
     if name in found:
         return found[name]
-    if name == "prost":
-        return prost()
-    raise PlannerError(unknown(f"planner `{name}`", name, ["prost", *found]))
+    if name in KNOWN:
+        return KNOWN[name]()
+    there = dict.fromkeys([*KNOWN, *found, *solver_entry_points()])
+    raise PlannerError(unknown(f"planner `{name}`", name, there))
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,11 +155,13 @@ class Found:
 def report(path: Path | None = None) -> list[Found]:
     """All planners that are known or declared."""
     found = []
-    try:
-        known = prost()
-        found.append(Found("prost", True, str(Path(known.files[-1]).parent)))
-    except PlannerMissingError as error:
-        found.append(Found("prost", False, str(error)))
+    for name, seek in KNOWN.items():
+        try:
+            known = seek()
+            program = known.files[-1] if known.files else shutil.which(known.command[0])
+            found.append(Found(name, True, str(Path(program or "").parent)))
+        except PlannerMissingError as error:
+            found.append(Found(name, False, str(error)))
     storm = find_spec("stormpy") is not None
     how = "as the solver `storm`" if storm else "not installed: pip install 'menid-plan[storm]'"
     found.append(Found("storm", storm, how))
