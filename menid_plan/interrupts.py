@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM, answered at places where nothing is left half done.
+"""Ctrl-C, SIGTERM and SIGHUP, answered at places where nothing is left half done.
 
 An exception that a signal raises may come anywhere: between two changes that belong together, or where
 a library clears whatever was raised, so that it is lost.
@@ -13,7 +13,12 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import Any
 
-_DEFAULT = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+_DEFAULT: dict[signal.Signals, Any] = {signal.SIGINT: signal.default_int_handler}
+_DEFAULT |= {
+    signal.Signals[name]: signal.SIG_DFL
+    for name in ("SIGTERM", "SIGHUP")
+    if name in signal.Signals.__members__
+}
 
 
 class Interrupts:
@@ -69,3 +74,10 @@ class Interrupts:
         self._came = True
         if at_once:
             raise KeyboardInterrupt
+
+
+@contextmanager
+def tidied_up() -> Iterator[None]:
+    """Have any signal raise KeyboardInterrupt at once, so that what was begun is tidied up."""
+    with Interrupts() as interrupts, interrupts.allowed():
+        yield

@@ -114,6 +114,29 @@ def test_a_run_that_asks_is_gone_on_with(menid: Menid, here: Path) -> None:
     assert stored(here / "out")[:4] == experiences
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        '{"event": "decided", "number": 3, "action": ["flip", 3]}',
+        '{"event": "decided", "number": 2, "action": "flip"}',
+        '{"event": "decided", "number": 1, "action": []}',
+        '{"event": "decided", "number": [], "action": ["flip", ["one"]]}',
+        "[" * 100_000,
+    ],
+)
+def test_what_others_wrote_into_the_events_is_passed_over(
+    menid: Menid, here: Path, line: str
+) -> None:
+    declare(here, sys.executable, "-c", CLIENT, "{port}")
+    run = ("learn", "coins.menid", "--run", "run.toml", "-o", "out")
+    assert menid(*run, "--steps", "1").exit_code == 0
+    with (here / "out" / "events.jsonl").open("a") as file:
+        file.write(line + "\n")
+    result = menid(*run, "--steps", "2", "--resume")
+    assert result.exit_code == 0, result.output
+    assert len(stored(here / "out")) == 2
+
+
 def test_a_run_whose_planner_fails_can_be_gone_on_with(menid: Menid, here: Path) -> None:
     calls = here / "calls"
     third = f"""
@@ -141,9 +164,13 @@ if len(calls.read_text()) == 3:
     [
         ('planner = "fakir"', 3, "did you mean `fake`?"),
         ("planner = 3", 3, "planner must be a name, not 3"),
-        ("horizon = 2.5", 3, "horizon must be a whole number from 1 on, not 2.5"),
-        ("horizon = 0", 3, "horizon must be a whole number from 1 on, not 0"),
-        ("seconds = -1.0", 3, "seconds must be above 0, and finite"),
+        ("horizon = 2.5", 3, "horizon must be a whole number from 1 to 1000000, not 2.5"),
+        ("horizon = 0", 3, "horizon must be a whole number from 1 to 1000000, not 0"),
+        ("seconds = -1.0", 3, "seconds must be above 0, and at most 1e+06, not -1.0"),
+        ("seconds = 1e300", 3, "seconds must be above 0, and at most 1e+06, not 1e+300"),
+        ('seconds = "x"', 3, "seconds must be above 0, and at most 1e+06, not x"),
+        ("draw = 3", 3, "draw must be true or false, not 3"),
+        ("horizon = true", 3, "horizon must be a whole number from 1 to 1000000, not True"),
         ("speed = 3", 3, "has no option --speed"),
     ],
 )

@@ -16,7 +16,7 @@ import pytest
 from click.testing import Result
 
 from conftest import ROOT
-from menid_plan.exchange.ppddl import number_text, shares
+from menid_plan.exchange.numbers import Numbers
 
 # An expression: a word, or a list of expressions.
 Sexp = Any
@@ -193,18 +193,33 @@ def test_a_goal_and_numbers_that_are_no_decimals(
 
 def test_numbers_fit_into_fractions_of_32_bits() -> None:
     # Rounded ones add up to 1 at most, or exactly; thirds stay thirds.
-    small = shares([0.0000005001, 0.4999997499, 0.49999975], whole=False)
+    small = Numbers().shares([0.0000005001, 0.4999997499, 0.49999975], whole=False)
     assert sum(map(Fraction, small)) <= 1
     assert small[0] == "0.000001"
-    assert shares([0.1234567, 0.8765433], whole=True) == ["0.123457", "0.876543"]
-    assert shares([1 / 3, 2 / 3], whole=True) == ["1/3", "2/3"]
-    assert shares([1 / 7, 1 / 3], whole=False) == ["1/7", "1/3"]
-    assert shares([0.25, 0.5], whole=False) == ["0.25", "0.5"]
+    assert Numbers().shares([0.1234567, 0.8765433], whole=True) == ["0.123457", "0.876543"]
+    assert Numbers().shares([1 / 3, 2 / 3], whole=True) == ["1/3", "2/3"]
+    assert Numbers().shares([1 / 7, 1 / 3], whole=False) == ["1/7", "1/3"]
+    assert Numbers().shares([0.25, 0.5], whole=False) == ["0.25", "0.5"]
     for value in (0.1, 12.345678, 123456.789, 2e9):
-        assert int(number_text(value).replace(".", "")) < 2**31
-    assert [number_text(v) for v in (0.0, 5.0, 100.0, 0.1, 123456.789)] == [
+        assert int(Numbers().text(value).replace(".", "")) < 2**31
+    assert [Numbers().text(v) for v in (0.0, 5.0, 100.0, 0.1, 123456.789)] == [
         "0", "5", "100", "0.1", "123457",
     ]  # fmt: skip
+
+
+def test_numbers_that_change_are_told(menid: Callable[..., Result]) -> None:
+    """A chance stays one; what six digits can't hold is not passed over."""
+    text = GOAL.replace("0.3333333  lit", "1e-9 lit").replace("0.3333333 worn", "0.25 worn")
+    text = text.replace("noise: 0.3333334", "noise: (0.75 - 1e-9)").replace("cost 2", "cost 2e-8")
+    text = text.replace("goal lit", "goal lit reward 3000000000")
+    for form in ("--lifted", "--grounded", "--states"):
+        result, domain, _ = exported(menid, text, form)
+        assert "(probabilistic 0.000001 (lit) 0.25 (worn))" in domain
+        assert "1e-09 to 0.000001" in result.stderr
+        assert "3000000000 to what 32 bits make of it" in result.stderr or form == "--states"
+        assert "2e-08 to 0" in result.stderr or form == "--states"
+    result, _, _ = exported(menid, GOAL)
+    assert result.stderr == ""
 
 
 def exported(menid: Callable[..., Result], text: str, *options: str) -> tuple[Result, str, str]:

@@ -275,6 +275,13 @@ RIGHT = DOMAIN.format(effect="(s)", pre="()") + PROBLEM.format(init="", goal="(s
         (":effect (s)", ":effect (forall (?y - b) (q ?y ?x))", "P204", "`?y` is of type b"),
         (":effect (s)", ":effect (probabilistic 1/0 (s))", "P205", "`1/0` is no number"),
         (":effect (s)", ":effect (probabilistic 1.5 (s))", "P206", "is not between 0 and 1"),
+        (":effect (s)", ":effect (probabilistic 1.0000000001 (s))", "P206", "probability 1.0000000001"),
+        (":effect (s)", f":effect (probabilistic 1{'0' * 400} (s))", "P205", "is too large"),
+        (":effect (s)", f":effect (probabilistic 1/1{'0' * 400} (s))", "P205", "is too small"),
+        (":effect (s)", f":effect (increase (reward) (* {9 * 10**200} {10**200}))", "P205", "large"),
+        ("(:goal (s))", f"(:goal (s)) (:goal-reward {10**309})", "P205", "is too large"),
+        (":effect (s)", ":effect (probabilistic 1e-3 (s))", "P205", "`1e-3` is no number"),
+        (":effect (s)", ":effect (probabilistic -0.5 (s))", "P205", "`-0.5` is no number"),
         (":effect (s)", ":effect (probabilistic .6 (s) .6 (r))", "P206", "add up to 1.2"),
         ("a b - thing thing", "a b - thing thing - a", "P207", "is above itself"),
         ("(:domain d)", "(:domain e)", "P208", "the problem is for `e`"),
@@ -303,6 +310,26 @@ def test_all_errors_are_told_at_once() -> None:
     found = read([SourceFile("d.pddl", text)])
     assert {d.code for d in found.diagnostics} == {"P201"}
     assert len(found.diagnostics) == 2
+
+
+def test_not_every_fault_is_told() -> None:
+    many = RIGHT.replace("(:init ", f"(:init {'() ' * 500_000}")
+    found = read([SourceFile("d", many)]).diagnostics
+    assert len(found) == 101
+    assert (found[-1].code, found[-1].message) == (
+        "P004",
+        "more than 100 faults: the rest is not read",
+    )
+
+
+def test_names_that_are_too_long_for_menid() -> None:
+    long, other = "n" * 600, "n" * 599 + "m"
+    domain = f"(define (domain d) (:predicates ({long}) ({other})) (:action a :effect ({long})))"
+    problem = f"(define (problem p) (:domain d) (:goal (and ({long}) (not ({other})))))"
+    made, task = documents(domain, problem)
+    assert len({p.name for p in made.predicates}) == 2
+    assert all(len(p.name) <= 255 for p in made.predicates)
+    assert value(Task(made, task), "goal-probability") == 1
 
 
 def test_what_makes_too_many_outcomes_is_refused() -> None:

@@ -166,6 +166,46 @@ def test_an_action_that_does_not_apply_ends_the_round(tmp_path: Path) -> None:
     assert found["steps"] == [1, 2]
 
 
+TWO_RULES = """
+domain d
+type t
+predicate at(t)
+predicate p(t)
+action go(x: t) {
+  rule moves { the h: t where at(h) when h != x outcomes { o: 1 not at(h), at(x) } }
+  rule stays { the h: t where at(h) when h = x outcomes { o: 1 p(x) } }
+}
+problem pr for d
+object a, b: t
+init at(a)
+goal p(b)
+"""
+
+
+@pytest.mark.parametrize(
+    ("form", "wrong"),
+    [
+        ("--lifted", ("go-stays", "b", "b")), ("--lifted", ("go-moves", "b", "b")),
+        ("--grounded", ("go-b-stays-b",)), ("--states", ("go_b_2",)),
+    ],
+)  # fmt: skip
+def test_an_action_that_applies_by_another_rule(
+    tmp_path: Path, form: str, wrong: tuple[str, ...]
+) -> None:
+    """`go(b)` applies, but what the file says of the action that was sent does not hold."""
+    (tmp_path / "two.menid").write_text(TWO_RULES, encoding="utf-8")
+    options = ("mdpsim", "two.menid", form, "--rounds", "1", "-o", "out")
+    with servers.serving(tmp_path, *options) as (port, process):
+        client = Client(port)
+        client.begin()
+        assert f"(:action {wrong[0]}\n" in (tmp_path / "out" / "domain.pddl").read_text()
+        client.say("<round-request/>" + act(*wrong))
+        for tag in ("round-init", "state", "error", "end-round", "end-session"):
+            client.heard(tag)
+        (found,) = ended(process, 0)
+    assert found["steps"] == [0]
+
+
 def test_the_horizon_is_how_many_turns_there_are(tmp_path: Path) -> None:
     with serving(tmp_path, "--env", "here", "--rounds", "1", "--horizon", "1") as (port, _):
         client = Client(port)
@@ -187,7 +227,7 @@ ROUND = "<round-request/>"
         ("<session-request>", "the connection ended in the middle of a message"),
         ("<a></b>", "a message is no XML"),
         ("hello <a/>", "a message is no XML"),
-        ('<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "declarations in its XML"),
+        ('<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "declarations in its XML, or comments"),
         (BEGIN + "<act/>", "`act` came where a round begins"),
         (BEGIN, "the client ended the session early"),
         (BEGIN + ROUND + ROUND, "`round-request` came where an action is due"),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -12,7 +14,8 @@ from pathlib import Path
 import pytest
 from click.testing import Result
 
-from menid_plan.planners import known
+from menid_plan.planners import known, run
+from servers import RUN
 
 Menid = Callable[..., Result]
 
@@ -156,6 +159,85 @@ def test_planners_that_fail(
     assert said in result.stderr
 
 
+def test_files_that_a_planner_is_given_stay_as_they_are(menid: Menid, coins: Path) -> None:
+    """Whatever they are called: nothing is written to what is linked."""
+    mine = coins / "output"
+    mine.write_text("mine")
+    declare(coins, sys.executable, "-c", "print('hello')\n" + CLIENT, "{port}",
+            rest=f"files = ['{mine}']\n")  # fmt: skip
+    assert plan(menid, "--rounds", "1").exit_code == 0
+    assert mine.read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("files", "code", "message"),
+    [
+        (["{0}/client.py", "{0}/x/client.py"], 3, "something else in the folder is called `client.py`"),
+        (["{0}/domain.rddl"], 3, "something else in the folder is called `domain.rddl`"),
+        (["/"], 3, "something else in the folder is called ``"),
+        (["{0}/gone"], 5, "there is no file `"),
+    ],
+)  # fmt: skip
+def test_files_that_can_t_lie_in_the_folder(
+    menid: Menid, coins: Path, files: list[str], code: int, message: str
+) -> None:
+    given = [each.format(coins) for each in files]
+    declare(coins, sys.executable, "-c", CLIENT, "{port}", rest=f"files = {given}\n")
+    result = plan(menid)
+    assert result.exit_code == code, result.output
+    assert message in result.stderr
+
+
+def test_a_planner_that_talks_too_much(
+    menid: Menid, coins: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run, "MOST_OUTPUT", 100_000)
+    declare(coins, sys.executable, "-c", "while True: print('y' * 99)")
+    start = time.monotonic()
+    result = plan(menid, "--time", "30")
+    assert time.monotonic() - start < 15
+    assert result.exit_code == 5
+    assert result.stderr.endswith("menid: fake failed: it has printed more than 0 MiB\n")
+    assert 1000 < len(result.stderr) < 3000
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no such signals")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGINT"])
+def test_a_signal_ends_the_planner(coins: Path, tmp_path: Path, name: str) -> None:
+    """With what it has started; nothing is left behind."""
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    script = (
+        "import os, subprocess, sys, time\n"
+        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])\n"
+        f"open({str(coins / 'new')!r}, 'w').write(f'{{os.getpid()}} {{child.pid}}')\n"
+        f"os.rename({str(coins / 'new')!r}, {str(coins / 'pids')!r})\n"
+        "time.sleep(60)\n"
+    )
+    declare(coins, sys.executable, "-c", script)
+    command = ["plan", "coins.menid", "--with", "fake", "--planners", "planners.toml"]
+    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n" + RUN
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, *command], cwd=coins, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True, env={**os.environ, "TMPDIR": str(temporary)},
+    )  # fmt: skip
+    try:
+        until = time.monotonic() + 60
+        while not (coins / "pids").exists() and time.monotonic() < until:
+            time.sleep(0.05)
+        assert list(temporary.iterdir())
+        process.send_signal(getattr(signal, name))
+        _, said = process.communicate(timeout=30)
+        assert "Traceback" not in said
+        for pid in (coins / "pids").read_text().split():
+            status = Path("/proc", pid, "status")
+            assert not status.exists() or "State:\tZ" in status.read_text()
+        assert not list(temporary.iterdir())
+    finally:
+        process.kill()
+        process.communicate()
+
+
 def test_what_a_planner_started_ends_with_it(menid: Menid, coins: Path) -> None:
     child = "import time, pathlib; time.sleep(3); pathlib.Path('{0}').write_text('alive')"
     script = (
@@ -181,6 +263,7 @@ def test_what_a_planner_started_ends_with_it(menid: Menid, coins: Path) -> None:
         ("[planner]\nfake = 3\n", 3, "planner.fake: expected a table"),
         ("[planner.fakir]\ncommand = ['a']\n", 3, "did you mean `fakir`?"),
         ("[planner\n", 3, "planners.toml: "),
+        ('[planner.fake]\ncommand = ["a\\u0000b"]\n', 3, "planner.fake: there is a null character"),
     ],
 )
 def test_declarations_that_do_not_do(

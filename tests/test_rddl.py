@@ -247,6 +247,37 @@ def test_probabilities_can_be_changed_in_the_instance(tmp_path: Path, dialect: D
     assert best(*rich(changed)) != pytest.approx(best(*rich()), abs=1e-3)
 
 
+# Things of types that have nothing in common are told apart, though RDDL may not ask; a goal speaks of
+# objects that nothing else does; and names that readers of RDDL would take to pieces.
+APART = """
+domain apart_
+type t_, u
+constant c: u
+constant _a, b__b: t_
+predicate p_(t_)
+predicate q(u)
+reward 0.5 per sv: t_ when p_(sv) and not (c = sv)
+action a_(x: t_) cost 0.25 {
+  rule r_ { when not p_(x) and x != c outcomes { done_: 0.5 p_(x), q(c)  fails__: 0.5 nothing } }
+}
+problem pr_ for apart_
+object o: object
+goal forall y: object (exists x: t_ (p_(x)) and y != _a implies q(c))
+  and forall x: t_ (x != o and p_(x)) reward 3
+"""
+
+
+@pytest.mark.parametrize("form", ["lifted", "grounded"])
+@pytest.mark.parametrize("dialect", ["prost", "pyrddlgym"])
+def test_things_of_different_types_and_awkward_names(
+    tmp_path: Path, form: str, dialect: Dialect
+) -> None:
+    domain, problem = rich(APART)
+    text = explored(made(domain, problem, form), dialect, tmp_path)
+    compare(domain, problem, text, dialect, "stay")
+    assert text.value() == pytest.approx(best(domain, problem), abs=1e-6)
+
+
 @settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
 @given(domains_with_problems())
 def test_generated_problems(

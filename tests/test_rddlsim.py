@@ -195,7 +195,7 @@ ROUND = "<round-request/>"
         (["<actions/>"], "`actions` came where `session-request` is due"),
         (["<session-request>"], "a message is no XML"),
         (["\udcff\udcfe"], "a message is no XML"),
-        (['<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>'], "declarations in its XML"),
+        (['<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>'], "declarations in its XML, or comments"),
         ([BEGIN, "<actions/>"], "`actions` came where a round begins"),
         ([BEGIN], "the client ended the session early"),
         ([BEGIN, ROUND, ROUND], "`round-request` came where actions are due"),

@@ -65,4 +65,8 @@ def in_first_form(task: Task, form: str | None) -> Written:
     def write(form: str) -> Written:
         return ppddl_text(task, form, lambda task: explore(task, Display()))
 
-    return in_form(form, PPDDL_FORMS, write, "PPDDL")
+    texts = in_form(form, PPDDL_FORMS, write, "PPDDL")
+    if texts.rounded:
+        listed = ", ".join(f"{old} to {new}" for old, new in texts.rounded.items())
+        click.echo(f"menid: rounded, since readers have 32 bits for a number: {listed}", err=True)
+    return texts

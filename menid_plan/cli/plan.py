@@ -17,6 +17,7 @@ from menid_plan.cli.export_rddl import for_prost
 from menid_plan.cli.exporting import form_option
 from menid_plan.cli.serve_mdpsim import TURNS
 from menid_plan.cli.serving import RoundOptions, round_options
+from menid_plan.interrupts import tidied_up
 
 if TYPE_CHECKING:
     from menid_plan.environments.registry import EnvironmentSpec
@@ -110,7 +111,7 @@ def _by_others(chosen: Planner, spec: EnvironmentSpec, play: RoundOptions, form:
         raise click.UsageError("--states: this planner reads RDDL, which is lifted or grounded")
     else:
         game = rddl_game(for_prost(spec, form), play.rounds, play.seconds)
-    with closing(Player(spec, play.seed)) as player:
+    with tidied_up(), closing(Player(spec, play.seed)) as player:
         return run(chosen, game.files, lambda wire: game.play(wire, player), play.seconds)
 
 
@@ -124,7 +125,7 @@ def _by_solver(name: str, solver: Solver, spec: EnvironmentSpec, play: RoundOpti
 
     decider = Decider(Task(spec.domain, spec.problem, spec.name, dict(spec.params)), solver)
     turns = spec.problem.horizon or TURNS
-    with closing(Player(spec, play.seed)) as player:
+    with tidied_up(), closing(Player(spec, play.seed)) as player:
         results = played(decider, name, player, play.rounds, turns, play.seconds)
     return Run(results, results.failure, "")
 

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from menid_plan.cli.common import environment_of, setting_option
-from menid_plan.cli.tasks import files_argument, gathered
+from menid_plan.cli.tasks import files_argument, finite, gathered
+from menid_plan.interrupts import tidied_up
 
 if TYPE_CHECKING:
     from menid_plan.environments.registry import EnvironmentSpec
@@ -63,6 +64,7 @@ def round_options(function: Any) -> Any:
                      metavar="N"),
         click.option("--seed", type=click.IntRange(0), default=0, show_default=True, metavar="S"),
         click.option("--time", "seconds", type=click.FloatRange(1, 1e6), default=1080.0,
+                     callback=finite,
                      show_default=True, metavar="SECONDS", help="How long it may take in all."),
     )  # fmt: skip
 
@@ -94,7 +96,7 @@ class ServerOptions:
                 player.close()
 
         failed = False
-        with listening(self.port) as server:
+        with tidied_up(), listening(self.port) as server:
             click.echo(f"listening on {HOST}:{server.getsockname()[1]}", err=True)
             for results in sessions(server, self.sessions, self.patience, session):
                 click.echo(json.dumps(results.summary(), indent=2))
@@ -112,6 +114,7 @@ def server_options(function: Any) -> Any:
         click.option("--port", type=click.IntRange(0, 65535), default=2323, show_default=True,
                      help="The port on 127.0.0.1; 0: any that is free, which is told."),
         click.option("--patience", type=click.FloatRange(0.01, 1e6), default=300.0,
+                     callback=finite,
                      show_default=True, metavar="SECONDS",
                      help="How long the client may take for a message."),
     )  # fmt: skip

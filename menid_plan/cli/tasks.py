@@ -32,9 +32,10 @@ OBJECTIVES = ("reward", "goal-then-reward", "goal-probability", "steps")
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
-def _finite(
+def finite(
     _context: click.Context, _parameter: click.Parameter, value: float | None
 ) -> float | None:
+    """See that the value of an option is finite."""
     if value is not None and not math.isfinite(value):
         raise click.BadParameter(f"{value} is not a finite number")
     return value
@@ -123,11 +124,11 @@ def solving_options(function: _Command) -> _Command:
         function, "how", SolvingOptions,
         click.option("--objective", type=click.Choice(OBJECTIVES),
                      help="What is best; by default as the problem has it."),
-        click.option("--epsilon", type=positive, callback=_finite, show_default="1e-6",
+        click.option("--epsilon", type=positive, callback=finite, show_default="1e-6",
                      help="How far apart the bounds may be."),
         click.option("--max-iterations", type=click.IntRange(1), metavar="N",
                      help="Stop solving after so many iterations of the solver."),
-        click.option("--max-seconds", type=positive, callback=_finite, metavar="S",
+        click.option("--max-seconds", type=positive, callback=finite, metavar="S",
                      help="Stop solving after so many seconds."),
         click.option("--option", "written", multiple=True, callback=_pairs, metavar="NAME=VALUE",
                      help="Set an option of the solver, as `menid solvers` lists them; may be given "

@@ -14,6 +14,7 @@ from scipy.cluster.hierarchy import DisjointSet
 from menid_plan.exchange.flat import Flat, unused
 from menid_plan.model.domain import OBJECT, Domain, Predicate, objects_by_type
 from menid_plan.model.formulas import (
+    TRUE,
     And,
     Atom,
     Exists,
@@ -39,7 +40,7 @@ class Classes:
     ``of`` has the class of each type, by the name of its most general types.
     """
 
-    def __init__(self, domain: Domain) -> None:
+    def __init__(self, domain: Domain, goal: Formula = TRUE) -> None:
         self.domain = domain
         parents = {type_.name: type_.parent for type_ in domain.types}
         self._below: dict[str, set[str]] = {name: {name} for name in (OBJECT, *parents)}
@@ -47,7 +48,7 @@ class Classes:
             for above in domain.supertypes(name):
                 self._below[above].add(name)
         sets = DisjointSet(self._below)
-        for types in ranges(domain):
+        for types in (*ranges(domain), *_ranges(goal)):
             for each in types:
                 for below in self._below[each]:
                     sets.merge(types[0], below)

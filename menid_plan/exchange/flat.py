@@ -12,7 +12,8 @@ from dataclasses import dataclass, field, replace
 from itertools import chain, count
 
 from menid_plan.errors import MeaningError, MenidError
-from menid_plan.grounding.state import Binding, GroundAction, object_named
+from menid_plan.grounding.state import Binding, GroundAction, State, object_named
+from menid_plan.grounding.steps import Covering
 from menid_plan.model.domain import Domain, Problem
 from menid_plan.model.expressions import EvaluationError, Expression, Minus, Number, evaluate
 from menid_plan.model.formulas import (
@@ -49,16 +50,31 @@ class NotExpressibleError(MenidError):
 class Call:
     """What an action of a flat problem stands for: an action of the problem that it was made from.
 
-    ``arguments`` are objects, or parameters of the flat action.
+    ``arguments`` are objects, or parameters of the flat action. It is for one ``rule`` (empty: any),
+    in which deictic references name the terms in ``references``, and for one ``state`` (None: any).
     """
 
     action: str
     arguments: tuple[Term, ...]
+    rule: str = ""
+    references: tuple[tuple[str, Term], ...] = ()
+    state: State | None = None
 
     def bound(self, binding: Binding) -> GroundAction:
         """The ground action, given the objects of the flat action's parameters."""
         names = tuple(object_named(term, binding) for term in self.arguments)
         return GroundAction(self.action, names)
+
+    def fits(self, covering: Covering, binding: Binding, state: State) -> bool:
+        """Whether the flat action applies in a state in which its call is covered like that."""
+        return (
+            self.rule in ("", covering.rule.name)
+            and self.state in (None, state)
+            and all(
+                covering.binding[name] == object_named(term, binding)
+                for name, term in self.references
+            )
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

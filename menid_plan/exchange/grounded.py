@@ -249,12 +249,15 @@ class _Actions:
 
     def _action(self, rule: GroundRule, others: Sequence[GroundRule]) -> Action:
         action = self.domain.action(rule.action.action)
-        named = [rule.binding[v.name] for each in rule.rule.references for v in each.variables]
+        named = {v.name: rule.binding[v.name] for r in rule.rule.references for v in r.variables}
         parts = (action.name, *rule.action.arguments)
         if len(action.rules) > 1:
             parts = (*parts, rule.rule.name)
-        name = unused("-".join((*parts, *named)), self.calls)
-        self.calls[name] = Call(action.name, tuple(map(Constant, rule.action.arguments)))
+        name = unused("-".join((*parts, *named.values())), self.calls)
+        self.calls[name] = Call(
+            action.name, tuple(map(Constant, rule.action.arguments)), rule.rule.name,
+            tuple((variable, Constant(thing)) for variable, thing in named.items()),
+        )  # fmt: skip
         circuit = self.formulas.circuit
         rivals = [
             negation(self.formulas.formula(other.condition))

@@ -358,7 +358,14 @@ class _Lifting:
         name = unused(made.name, self._names)
         self._names.add(name)
         arguments = tuple(put_in(Variable(v.name), terms) for v in action.parameters)
-        self._calls[name] = Call(action.name, arguments)
+        there = {v.name for v in made.parameters}
+        named = (
+            (v.name, put_in(Variable(v.name), terms)) for r in rule.references for v in r.variables
+        )
+        references = tuple(
+            (v, term) for v, term in named if isinstance(term, Constant) or term.name in there
+        )
+        self._calls[name] = Call(action.name, arguments, rule.name, references)
         own = _names(made.parameters)
         outcomes = tuple(self._outcomes(rule, chances, terms, own, noisy))
         condition = told_apart(condition, own)

@@ -24,6 +24,9 @@ def names_for(
         if thing in found:
             continue
         plain = re.sub(r"[^A-Za-z0-9_-]" if hyphen else r"[^A-Za-z0-9_]", "_", wanted)
+        if not hyphen:
+            # RDDL's readers put parts of names together with `___`, and choke on less.
+            plain = re.sub("_+", "_", plain).strip("_")
         if not re.match(r"[A-Za-z]", plain):
             plain = f"x{plain}"
         name, number = plain, last.get(plain, 1)

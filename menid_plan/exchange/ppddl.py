@@ -6,14 +6,13 @@ states are paid by every action. What is left of the sum of an action's chances 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import TypeAlias
 
 from menid_plan.exchange.flat import Call, Flat, NotExpressibleError, value_of
 from menid_plan.exchange.names import changed, names_for
+from menid_plan.exchange.numbers import Numbers
 from menid_plan.model.domain import OBJECT
 from menid_plan.model.expressions import Expression
 from menid_plan.model.formulas import (
@@ -36,10 +35,6 @@ from menid_plan.model.formulas import (
 )
 from menid_plan.model.rules import Action, ConditionalEffect, Effect, Literal, Outcome, Rule
 
-# Readers keep numbers as fractions of 32-bit integers: more digits would overflow them.
-DIGITS = 6
-# Fractions that a column of probabilities may be written in.
-MOST_PARTS = 10_000
 WIDTH = 100
 
 RESERVED = frozenset(
@@ -58,8 +53,9 @@ class Written:
 
     ``predicates`` and ``objects`` have the names that these got; ``calls`` has for the name of each
     action the names of its parameters, and what it stands for; ``renamed`` has, by the new ones, names
-    that were changed since PPDDL has other uses for them; ``sunk`` is the predicate that holds once
-    noise has led out of the model, empty if it can't.
+    that were changed since PPDDL has other uses for them, and ``rounded``, by the old ones, numbers
+    that had to be changed by more than a little; ``sunk`` is the predicate that holds once noise has
+    led out of the model, empty if it can't.
     """
 
     domain: str
@@ -68,6 +64,7 @@ class Written:
     objects: Mapping[str, str]
     calls: Mapping[str, tuple[tuple[str, ...], Call]]
     renamed: Mapping[str, str]
+    rounded: Mapping[str, str]
     sunk: str = ""
 
 
@@ -91,6 +88,7 @@ class _Writer:
         self._objects = names_for(((o.name, o.name) for o in objects), RESERVED)
         self._actions = names_for(((a.name, a.name) for a in d.actions), RESERVED)
         self._variables: dict[str, str] = {}
+        self._numbers = Numbers()
 
     def written(self) -> Written:
         p = self._problem
@@ -105,8 +103,9 @@ class _Writer:
             for a in self._domain.actions
         }  # fmt: skip
         return Written(
-            domain, problem, self._predicates, self._objects, calls, self._renamed, self.flat.sunk
-        )
+            domain, problem, self._predicates, self._objects, calls, self._renamed,
+            self._numbers.rounded, self.flat.sunk,
+        )  # fmt: skip
 
     @property
     def _renamed(self) -> dict[str, str]:
@@ -170,7 +169,7 @@ class _Writer:
             yield from _laid_out([":goal", self._formula(p.goal)], 2)
             reward = value_of(p.goal_reward)
             if reward:
-                text = number_text(abs(reward))
+                text = self._numbers.text(abs(reward))
                 yield f"  (:goal-reward {text if reward > 0 else f'(- {text})'})"
         yield "  (:metric maximize (reward))"
         yield ")"
@@ -200,9 +199,9 @@ class _Writer:
     # ------------------------------------------------------------------------------------- effects
 
     def _effect(self, action: Action, rule: Rule) -> Sexp:
-        parts = list(_pay(action.cost, -1))
+        parts = list(self._pay(action.cost, -1))
         for each in self._domain.rewards:
-            for paid in _pay(each.reward):
+            for paid in self._pay(each.reward):
                 known = dict(self._variables)
                 variables = self._typed(each.variables)
                 some: Sexp = paid
@@ -222,12 +221,20 @@ class _Writer:
             ((change, _),) = together.values()
             parts += change[1:] if change[0] == "and" else [change]
         elif together:
-            texts = shares([chance for _, chance in together.values()], whole=unchanged is None)
+            chosen = [chance for _, chance in together.values()]
+            texts = self._numbers.shares(chosen, whole=unchanged is None)
             choice: list[Sexp] = ["probabilistic"]
             for (change, _), text in zip(together.values(), texts, strict=True):
                 choice += [text, change]
             parts.append(choice)
         return _all(parts)
+
+    def _pay(self, expression: Expression | None, sign: int = 1) -> Iterator[Sexp]:
+        """The effect that pays so much, unless it is 0."""
+        value = sign * value_of(expression)
+        text = self._numbers.text(abs(value))
+        if text != "0":
+            yield ["increase" if value > 0 else "decrease", ["reward"], text]
 
     def _outcome(self, outcome: Outcome) -> Sexp:
         parts: list[Sexp] = []
@@ -235,7 +242,7 @@ class _Writer:
             known = dict(self._variables)
             parts += self._changes(effect)
             self._variables = known
-        return _all([*parts, *_pay(outcome.reward)])
+        return _all([*parts, *self._pay(outcome.reward)])
 
     def _changes(self, effect: Effect) -> list[Sexp]:
         match effect:
@@ -316,44 +323,6 @@ def _objects_in(formula: Formula) -> Iterator[str]:
 
 def _all(parts: list[Sexp]) -> Sexp:
     return parts[0] if len(parts) == 1 else ["and", *parts]
-
-
-def _pay(expression: Expression | None, sign: int = 1) -> Iterator[Sexp]:
-    """The effect that pays so much, unless it is 0."""
-    value = sign * value_of(expression)
-    text = number_text(abs(value))
-    if text != "0":
-        yield ["increase" if value > 0 else "decrease", ["reward"], text]
-
-
-# ------------------------------------------------------------------------------------------ numbers
-
-
-def number_text(value: float) -> str:
-    """A number that is not negative, in decimals that fit a fraction of 32-bit integers."""
-    digits = DIGITS if value < 100 else max(DIGITS - 1 - int(math.log10(value)), 0)
-    text = f"{value:.{digits}f}"
-    return text.rstrip("0").rstrip(".") if "." in text else text
-
-
-def shares(chances: Sequence[float], *, whole: bool) -> list[str]:
-    """Probabilities as texts whose sum is at most 1, and exactly 1 with ``whole``.
-
-    As fractions where decimals won't do and all have a small common denominator.
-    """
-    unit = 10**DIGITS
-    counts = [round(chance * unit) for chance in chances]
-    if any(abs(n / unit - chance) > 1e-12 for n, chance in zip(counts, chances, strict=True)):
-        fractions = [Fraction(chance).limit_denominator(1000) for chance in chances]
-        parts = math.lcm(*(fraction.denominator for fraction in fractions))
-        exact = all(abs(f - c) < 1e-12 for f, c in zip(fractions, chances, strict=True))
-        if exact and parts <= MOST_PARTS and sum(fractions) <= 1:
-            return [str(fraction) for fraction in fractions]
-    largest = counts.index(max(counts))
-    excess = sum(counts) - unit
-    if excess > 0 or whole:
-        counts[largest] -= excess
-    return [number_text(n / unit) for n in counts]
 
 
 # ------------------------------------------------------------------------------------------- layout

@@ -13,7 +13,8 @@ import numpy as np
 from menid_plan.errors import LimitError
 from menid_plan.exchange.flat import Call, unused
 from menid_plan.exchange.names import changed, names_for
-from menid_plan.exchange.ppddl import RESERVED, Written, number_text, shares
+from menid_plan.exchange.numbers import Numbers
+from menid_plan.exchange.ppddl import RESERVED, Written
 from menid_plan.grounding.state import SINK, State
 from menid_plan.mdp.explore import Structure
 from menid_plan.mdp.model import MDP
@@ -62,20 +63,26 @@ class _Model:
         self._predicates = names_for(((name, name) for name in used), RESERVED)
         objects = sorted({name for fact in self._facts for name in fact.arguments})
         self._objects = names_for(((name, name) for name in objects), RESERVED)
+        self._numbers = Numbers()
 
     def written(self) -> Written:
         """The texts, and what the names in them stand for."""
         calls: dict[str, tuple[tuple[str, ...], Call]] = {
             self._names[row].lower(): (
                 (),
-                Call(action.action, tuple(map(Constant, action.arguments))),
+                Call(
+                    action.action, tuple(map(Constant, action.arguments)), state=self._states[state]
+                ),
             )
-            for _, row, action in self._rows
+            for state, row, action in self._rows
         }
         domain, problem = ("\n".join(lines) + "\n" for lines in (self.domain(), self.problem()))
         sunk = self._sunk.predicate if self._sunk in self._facts else ""
         renamed = {**changed(self._predicates), **changed(self._objects)}
-        return Written(domain, problem, self._predicates, self._objects, calls, renamed, sunk)
+        return Written(
+            domain, problem, self._predicates, self._objects, calls, renamed,
+            self._numbers.rounded, sunk,
+        )  # fmt: skip
 
     def domain(self) -> Iterator[str]:
         d = self._domain
@@ -143,14 +150,14 @@ class _Model:
         parts = []
         if chances:
             whole = sum(chances.values()) > 1 - 1e-9
-            texts = shares(list(chances.values()), whole=whole)
+            texts = self._numbers.shares(list(chances.values()), whole=whole)
             choices = " ".join(
                 f"{text} {change}" for text, change in zip(texts, chances, strict=True)
             )
             certain = len(chances) == 1 and whole
             parts.append(next(iter(chances)) if certain else f"(probabilistic {choices})")
         reward = float(mdp.row_reward[row])
-        text = number_text(abs(reward))
+        text = self._numbers.text(abs(reward))
         if text != "0":
             parts.append(f"({'increase' if reward > 0 else 'decrease'} (reward) {text})")
         return _both(parts)

@@ -67,7 +67,7 @@ class Model:
                     self.problem.span,
                 )
             self.discount = math.sqrt(self.discount)
-        self.classes = Classes(self.domain)
+        self.classes = Classes(self.domain, self.problem.goal or TRUE)
         self.objects = (*self.domain.constants, *self.problem.objects)
         self.members = objects_by_type(self.domain, self.objects)
         self.chances = {action.name: self._rows(action) for action in self.actions}

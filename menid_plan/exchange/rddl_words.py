@@ -70,6 +70,7 @@ class Words:
         self._primed = {predicate.name for predicate in model.dynamic}
         self._object_types = {each.name: each.type for each in model.objects}
         self._variables: dict[str, str] = {}
+        self._ranges: dict[str, str] = {}  # the classes of variables
 
     def formula(self, formula: Formula, *, primed: bool = False) -> str:
         """A formula of this step's state, or ``primed``, of the next one's."""
@@ -136,7 +137,14 @@ class Words:
         self.named[name] = None
         return self.atom(Atom(f"the {name}", (variable,)))
 
+    def _class(self, term: Term) -> str:
+        if isinstance(term, Variable):
+            return self._ranges[term.name]
+        return self.model.classes.of[self._object_types[term.name]]
+
     def _equality(self, left: Term, right: Term) -> str:
+        if self._class(left) != self._class(right):  # what RDDL does not let one ask
+            return "false"
         match left, right:
             case Variable(), Variable():
                 return f"(?{self._variables[left.name]} == ?{self._variables[right.name]})"
@@ -149,17 +157,19 @@ class Words:
     @contextmanager
     def declared(self, variables: Iterable[TypedVariable]) -> Iterator[tuple[str, Formula]]:
         """While it lasts, variables have names; gives how they are declared, and their guard."""
-        known = self._variables
+        known = self._variables, self._ranges
         listed, guards = [], []
         for variable in variables:
             name = plain(variable.name.split(" ")[-1], self._variables.values())
             self._variables = {**self._variables, variable.name: name}
+            range_ = self.model.classes.of[variable.types[0]]
+            self._ranges = {**self._ranges, variable.name: range_}
             listed.append(f"?{name} : {self.class_of(variable.types)}")
             guards.append(self.model.guard(variable.types, Variable(variable.name)))
         try:
             yield ", ".join(listed), conjunction(guards)
         finally:
-            self._variables = known
+            self._variables, self._ranges = known
 
     def class_of(self, types: Sequence[str]) -> str:
         """The name of the class that types are of."""

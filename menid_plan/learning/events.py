@@ -53,11 +53,13 @@ class Events:
                     self._given_up[key] = event["reason"]
                 case "decided":
                     found = event["action"]
-                    action = None if found is None else GroundAction(found[0], tuple(found[1]))
-                    self.decisions[event["number"]] = action
+                    if found is not None:
+                        name, arguments = found
+                        found = GroundAction(str(name), tuple(map(str, list(arguments))))
+                    self.decisions[event["number"]] = found
                 case "broken off":
                     self._broken_off[event["step"]] += 1
-        except (ValueError, LookupError, TypeError):
+        except (ValueError, LookupError, TypeError, RecursionError):
             return  # whoever wrote it, it was not this program
 
     def write(self, event: str, **more: Any) -> None:

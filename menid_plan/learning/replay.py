@@ -55,7 +55,7 @@ class Replay:
                     f"`{self._path}` goes on with execution {found.number} of `{found.action}` in "
                     f"`{found.environment}`, where the run does otherwise ({what}: {here}, not "
                     f"{there}); it can be resumed only by the version of the program, and of NumPy, "
-                    "that began it, and if nothing was put into the store"
+                    "that began it, and if nothing was put into the store, or changed in events.jsonl"
                 )
         self.next = next(self._coming, None)
         return found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -17,6 +16,9 @@ from menid_plan.planners.run import run
 from menid_plan.planning import Task
 from menid_plan.servers.play import Player
 from menid_plan.texts import PPDDL_FORMS, RDDL_FORMS, first_form, ppddl_text, rddl_text
+
+MOST_STEPS = 1_000_000
+MOST_SECONDS = 1e6
 
 
 class PlannerFailedError(PlannerError):
@@ -63,10 +65,16 @@ class Asked:
     def __post_init__(self) -> None:
         if not isinstance(self.planner, str):
             raise ValueError(f"planner must be a name, not {self.planner}")
-        if not (isinstance(self.horizon, int) and self.horizon >= 1):
-            raise ValueError(f"horizon must be a whole number from 1 on, not {self.horizon}")
-        if not (self.seconds > 0.0 and math.isfinite(self.seconds)):
-            raise ValueError(f"seconds must be above 0, and finite, not {self.seconds}")
+        if type(self.horizon) is not int or not 1 <= self.horizon <= MOST_STEPS:
+            raise ValueError(
+                f"horizon must be a whole number from 1 to {MOST_STEPS}, not {self.horizon}"
+            )
+        if type(self.seconds) not in (int, float) or not 0.0 < self.seconds <= MOST_SECONDS:
+            raise ValueError(
+                f"seconds must be above 0, and at most {MOST_SECONDS:g}, not {self.seconds}"
+            )
+        if type(self.draw) is not bool:
+            raise ValueError(f"draw must be true or false, not {self.draw}")
 
     def check(self) -> None:
         """Raise PlannerError or PlannerMissingError if the planner is not known, or not there."""
@@ -97,7 +105,7 @@ class Asked:
         finally:
             player.close()
         said = f": {found.output.strip()}" if found.output.strip() else ""
-        reason = found.failure or "it chose no action"
+        reason = found.failure or "it chose no action that applies"
         raise PlannerFailedError(f"the planner `{self.planner}` failed: {reason}{said}")
 
 

@@ -120,6 +120,8 @@ def declared(path: Path | None = None) -> dict[str, Planner]:
         faults += wrong
         if found is not None and not found.command:
             faults.append(f"planner.{name}.command: it is empty")
+        elif found is not None and any("\0" in part for part in (*found.command, *found.files)):
+            faults.append(f"planner.{name}: there is a null character in it")
         elif found is not None:
             planners[name] = found
     if faults:

@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from menid_plan.planners.known import Planner, PlannerMissingError
+from menid_plan.planners.known import Planner, PlannerError, PlannerMissingError
 from menid_plan.servers.listen import HOST, listening
 from menid_plan.servers.play import Results
 from menid_plan.servers.wire import Wire
@@ -23,6 +23,7 @@ from menid_plan.servers.wire import Wire
 # Seconds that a planner may take to end once the session has.
 GRACE = 10.0
 TAIL = 2000  # bytes of what it printed that are shown if it failed
+MOST_OUTPUT = 256 * 2**20  # bytes that it may print
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,13 +41,15 @@ def run(
     """Start a planner in a folder of its own, and let it play; it ends after so many seconds.
 
     ``files`` are the texts of a domain and of an instance or a problem, by the names of their files.
-    Raises PlannerMissingError if its program can't be started. What it exits with counts for nothing:
-    PROST says 0 where it failed.
+    Raises PlannerError for ``files`` that can't lie there, PlannerMissingError if one of these or the
+    program is missing. What it exits with counts for nothing: PROST says 0 where it failed.
     """
+    _check(planner, files)
     with (
         tempfile.TemporaryDirectory(prefix="menid-planner-", ignore_cleanup_errors=True) as name,
         listening(0) as server,
         ThreadPoolExecutor(1) as threads,
+        tempfile.TemporaryFile() as output,
     ):
         folder = Path(name)
         for file, text in files.items():
@@ -61,29 +64,35 @@ def run(
             "name": called[1], "host": HOST, "port": str(server.getsockname()[1]),
         }  # fmt: skip
         command = planner.filled(places)
-        with (folder / "output").open("wb") as output:
-            try:
-                process = subprocess.Popen(  # noqa: S603 - what the user declared
-                    command, cwd=folder, stdin=subprocess.DEVNULL, stdout=output,
-                    stderr=subprocess.STDOUT, start_new_session=True,
-                )  # fmt: skip
-            except OSError as error:
-                raise PlannerMissingError(f"`{command[0]}`: {error.strerror}") from error
+        try:
+            process = subprocess.Popen(  # noqa: S603 - what the user declared
+                command, cwd=folder, stdin=subprocess.DEVNULL, stdout=output,
+                stderr=subprocess.STDOUT, start_new_session=True,
+            )  # fmt: skip
+        except OSError as error:
+            raise PlannerMissingError(f"`{command[0]}`: {error.strerror}") from error
+
+        def too_much() -> bool:
+            return os.fstat(output.fileno()).st_size > MOST_OUTPUT
+
         until = time.monotonic() + seconds
         connection = None
         try:
-            connection = _accepted(server, process, until)
+            connection = _accepted(server, process, until, too_much)
             results = None
             if connection is not None:
                 # It is the time in all that counts, not that of a message.
                 session = threads.submit(play, Wire(connection, seconds + GRACE))
-                while not session.done() and time.monotonic() < until:
+                while not session.done() and time.monotonic() < until and not too_much():
                     time.sleep(0.02)
                 if session.done():
                     results = session.result()
                     with suppress(subprocess.TimeoutExpired):
                         process.wait(min(GRACE, max(until - time.monotonic(), 0.1)))
-            failure = _failure(results, connection is not None, process, until, seconds)
+            if results is None and too_much():
+                failure = f"it has printed more than {MOST_OUTPUT // 2**20} MiB"
+            else:
+                failure = _failure(results, connection is not None, process, until, seconds)
         finally:
             # All that it started; the session sees that it is gone, and ends.
             with suppress(ProcessLookupError, PermissionError):
@@ -93,16 +102,32 @@ def run(
                 with suppress(OSError):
                     connection.shutdown(socket.SHUT_RDWR)
                 connection.close()
-        said = (folder / "output").read_bytes()[-TAIL:].decode(errors="replace")
+        output.seek(max(os.fstat(output.fileno()).st_size - TAIL, 0))
+        said = output.read(TAIL).decode(errors="replace")
     return Run(results, failure, said)
 
 
+def _check(planner: Planner, files: Mapping[str, str]) -> None:
+    """See that what is linked into the folder is there, and under names that nothing else has."""
+    taken = set(files)
+    for file in planner.files:
+        name = Path(file).name
+        if not name or name in taken:
+            raise PlannerError(f"files: `{file}`: something else in the folder is called `{name}`")
+        if not Path(file).exists():
+            raise PlannerMissingError(f"files: there is no file `{file}`")
+        taken.add(name)
+
+
 def _accepted(
-    server: socket.socket, process: subprocess.Popen[bytes], until: float
+    server: socket.socket,
+    process: subprocess.Popen[bytes],
+    until: float,
+    given_up: Callable[[], bool],
 ) -> socket.socket | None:
-    """The planner's connection; None if it ended, or did not ask in time."""
+    """The planner's connection; None if it ended, is given up, or did not ask in time."""
     server.settimeout(0.1)
-    while time.monotonic() < until:
+    while time.monotonic() < until and not given_up():
         with suppress(TimeoutError):
             connection, _ = server.accept()
             return connection

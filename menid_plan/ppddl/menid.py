@@ -320,6 +320,10 @@ class _Import:
                 return Count(self._declared(variables), self.formula(body), comparison, number)
 
 
+# MENID's names have 255 characters at most; a number may be put behind this many.
+LONGEST = 240
+
+
 class _Variables:
     """Names for variables, made as they are asked for: none is taken, and no two are the same."""
 
@@ -337,7 +341,7 @@ class _Variables:
 
 def _plain(name: str) -> str:
     """A name as MENID has them: hyphens stand between letters or digits, one at a time."""
-    return re.sub(r"-+", "-", name).strip("-")
+    return re.sub(r"-+", "-", name)[:LONGEST].strip("-")
 
 
 def _numbered(name: str) -> Iterator[str]:

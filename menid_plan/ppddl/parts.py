@@ -48,6 +48,14 @@ _NUMERIC = "numeric fluents in conditions"
 _TOLERANCE = Fraction(1, 10**6)
 
 
+# So many faults are told; a text with more is no PPDDL.
+MOST_FOUND = 100
+
+
+class Enough(Exception):  # noqa: N818 - it never leaves this package
+    """There are too many faults for the rest to be worth reading."""
+
+
 class Wrong(Exception):  # noqa: N818 - it never leaves this module
     """A part can't be read; the diagnostic says why."""
 
@@ -108,8 +116,13 @@ class Reader:
         try:
             yield
         except Wrong as wrong:
+            span = self.span(wrong.node)
+            if len(self.diagnostics) >= MOST_FOUND:
+                text = f"more than {MOST_FOUND} faults: the rest is not read"
+                self.diagnostics.append(Diagnostic("error", "P004", text, span))
+                raise Enough from None
             self.diagnostics.append(
-                Diagnostic("error", wrong.code, wrong.message, self.span(wrong.node), wrong.hint)
+                Diagnostic("error", wrong.code, wrong.message, span, wrong.hint)
             )
 
     def warning(self, code: str, message: str, node: Node) -> None:
@@ -295,7 +308,17 @@ class Declared(Reader):
     # --------------------------------------------------------------------------------------- numbers
 
     def number(self, node: Node) -> Fraction:
-        """A number, or what is computed of numbers."""
+        """A number, or what is computed of numbers; it is within the range of double precision."""
+        value = self._number(node)
+        try:
+            lost = value != 0 and float(value) == 0.0
+        except OverflowError:
+            raise Wrong("P205", "this number is too large", node) from None
+        if lost:
+            raise Wrong("P205", "this number is too small to be told from 0", node)
+        return value
+
+    def _number(self, node: Node) -> Fraction:
         if isinstance(node, Word) and node.kind == "NUMBER":
             try:
                 return Fraction(node.text if node.text[0] not in "./" else f"0{node.text}")
@@ -306,7 +329,7 @@ class Declared(Reader):
             and node.head in ("+", "-", "*", "/")
             and len(node.items) in (2, 3)
         ):
-            values = [self.number(each) for each in node.items[1:]]
+            values = [self._number(each) for each in node.items[1:]]
             match node.head, values:
                 case "-", [value]:
                     return -value
@@ -377,9 +400,8 @@ class Declared(Reader):
         for number, effect in zip(rest[::2], rest[1::2], strict=True):
             chance = self.number(number)
             if not 0 <= chance <= 1:
-                raise Wrong(
-                    "P206", f"the probability {float(chance):g} is not between 0 and 1", number
-                )
+                text = number.text if isinstance(number, Word) else f"{float(chance):.12g}"
+                raise Wrong("P206", f"the probability {text} is not between 0 and 1", number)
             choices.append((chance, self.effect(effect, scope)))
         total = sum(chance for chance, _ in choices)
         # Probabilities that were rounded may add up to a little more than 1.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import NamedTuple
@@ -15,6 +16,7 @@ from menid_plan.ppddl.parts import (
     REWARD,
     STEPS,
     Declared,
+    Enough,
     Reader,
     Wrong,
     demand,
@@ -61,6 +63,17 @@ def read(sources: Iterable[SourceFile], problem: str | None = None) -> ReadResul
     ``problem`` names the one that is read where there are several.
     """
     diagnostics: list[Diagnostic] = []
+    domain = read_problem = None
+    with suppress(Enough):
+        domain, read_problem = _read(sources, problem, diagnostics)
+    if any(each.is_error for each in diagnostics):
+        domain = read_problem = None
+    return ReadResult(domain, read_problem, tuple(in_order(diagnostics)))
+
+
+def _read(
+    sources: Iterable[SourceFile], problem: str | None, diagnostics: list[Diagnostic]
+) -> tuple[PddlDomain | None, PddlProblem | None]:
     found: dict[str, _Definition] = {}
     others: list[str] = []
     last: SourceFile | None = None
@@ -94,9 +107,7 @@ def read(sources: Iterable[SourceFile], problem: str | None = None) -> ReadResul
                     message = f"there is no problem `{problem}`; there are: {', '.join(others)}"
                 span = Span(last, 0, min(1, len(last.text)))
                 diagnostics.append(Diagnostic("error", "P101", message, span))
-    if any(each.is_error for each in diagnostics):
-        domain = read_problem = None
-    return ReadResult(domain, read_problem, tuple(in_order(diagnostics)))
+    return domain, read_problem
 
 
 def _define(source: SourceFile, each: List) -> tuple[str, _Definition]:

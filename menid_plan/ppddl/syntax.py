@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import Any, TypeAlias
 
 from lark import Lark, Token, Transformer
@@ -80,12 +81,31 @@ def parse(source: SourceFile) -> tuple[tuple[List, ...], list[Diagnostic]]:
         lists: tuple[List, ...] = _lark().parse(source.text)  # type: ignore[assignment]
     except UnexpectedInput as error:
         return (), [_syntax_error(source, error)]
+    exponent = next(_exponents(lists), None)
+    if exponent is not None:
+        span = Span(source, exponent[0].start, exponent[1].end)
+        message = f"`{exponent[0].text}{exponent[1].text}` is no number"
+        hint = "numbers are decimals without exponent, or fractions"
+        return (), [Diagnostic("error", "P205", message, span, hint)]
     for each in lists:
         if each.depth > MAX_DEPTH:
             span = Span(source, each.start, each.start + 1)
             message = f"lists are nested more than {MAX_DEPTH} deep"
             return (), [Diagnostic("error", "P003", message, span)]
     return lists, []
+
+
+def _exponents(lists: Sequence[List]) -> Iterator[tuple[Word, Word]]:
+    """Where a number runs into a name, or a sign into a number."""
+    waiting = list(lists)
+    while waiting:
+        items = waiting.pop().items
+        waiting += [item for item in items if isinstance(item, List)]
+        for left, right in pairwise(items):
+            if not (isinstance(left, Word) and isinstance(right, Word)) or left.end != right.start:
+                continue
+            if left.kind == "NUMBER" or (left.text == "-" and right.kind == "NUMBER"):
+                yield left, right
 
 
 def _syntax_error(source: SourceFile, error: UnexpectedInput) -> Diagnostic:

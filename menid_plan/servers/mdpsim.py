@@ -9,8 +9,9 @@ from __future__ import annotations
 import time
 from xml.etree import ElementTree
 
+from menid_plan.exchange.flat import Call
 from menid_plan.exchange.ppddl import Written
-from menid_plan.grounding.state import GroundAction
+from menid_plan.grounding.state import Binding
 from menid_plan.servers import session
 from menid_plan.servers.play import Player
 from menid_plan.servers.wire import ProtocolError, Wire, element, words
@@ -74,14 +75,16 @@ class Session(session.Session):
         )  # fmt: skip
         while not player.over and player.round.steps < self._turns:
             self._send(self._state())
-            action = self._action()
-            if action is None:
+            called = self._called()
+            if called is None:
                 break
-            if not player.applies(action):
+            call, binding = called
+            if not player.applies(call, binding):
                 # As mdpsim has it, that ends the round, and not the session.
-                self._send(element("error", f"`{action}` does not apply in this state"))
+                text = f"`{call.bound(binding)}` does not apply in this state"
+                self._send(element("error", text))
                 break
-            player.act(action)
+            player.act(call.bound(binding))
         found = player.end()
         self.results.rounds.append(found)
         spent = int(1000 * (time.monotonic() - begin))
@@ -91,7 +94,7 @@ class Session(session.Session):
         parts += [element("time-spent", spent), element("turns-used", found.steps)]
         self._send(element("end-round", "", *parts))
 
-    def _action(self) -> GroundAction | None:
+    def _called(self) -> tuple[Call, Binding] | None:
         """What the client does; None if it gives the round up."""
         message = self._receive()
         if message is None:
@@ -110,7 +113,7 @@ class Session(session.Session):
         if unknown or len(terms) != len(parameters):
             raise ProtocolError(f"`{name}` has no arguments `{', '.join(terms)}`")
         objects = (self._objects[each] for each in terms)
-        return call.bound(dict(zip(parameters, objects, strict=True)))
+        return call, dict(zip(parameters, objects, strict=True))
 
     def _state(self) -> ElementTree.Element:
         """The atoms that hold and can change."""

@@ -9,8 +9,9 @@ import numpy as np
 
 from menid_plan.environments.registry import EnvironmentSpec
 from menid_plan.environments.seeds import seed_of
+from menid_plan.exchange.flat import Call
 from menid_plan.experience.attribution import Attributor
-from menid_plan.grounding.state import GroundAction, State
+from menid_plan.grounding.state import Binding, GroundAction, State
 
 
 @dataclass(slots=True)
@@ -74,11 +75,12 @@ class Player:
         """Whether nothing can be done any more."""
         return self.semantics.is_goal(self.state) or self.semantics.is_dead_end(self.state)
 
-    def applies(self, action: GroundAction) -> bool:
-        """Whether an action can be executed."""
+    def applies(self, call: Call, binding: Binding) -> bool:
+        """Whether what a planner calls can be executed, with these objects for its parameters."""
         if self.over:
             return False
-        return self.semantics.covering(self.state, action) is not None
+        covering = self.semantics.covering(self.state, call.bound(binding))
+        return covering is not None and call.fits(covering, binding, self.state)
 
     def act(self, action: GroundAction) -> float:
         """Execute an action; what it pays."""

@@ -12,9 +12,10 @@ import itertools
 from collections.abc import Iterator
 from xml.etree import ElementTree
 
+from menid_plan.exchange.flat import Call
 from menid_plan.exchange.rddl import Written
 from menid_plan.exchange.rddl_model import APPLIED, APPLYING
-from menid_plan.grounding.state import GroundAction, State
+from menid_plan.grounding.state import Binding, GroundAction, State
 from menid_plan.servers import session
 from menid_plan.servers.play import Player
 from menid_plan.servers.wire import ProtocolError, Wire, element, words
@@ -112,8 +113,9 @@ class Session(session.Session):
             else:
                 name, arguments = chosen
                 before = player.state
-                doing = self._ground(name, arguments)
-                if not player.applies(doing):
+                call, binding = self._called(name, arguments)
+                doing = call.bound(binding)
+                if not player.applies(call, binding):
                     raise ProtocolError(f"`{doing}` does not apply in this state")
                 paid = player.act(doing)
                 shown = self._observed(before, doing=chosen)
@@ -155,10 +157,10 @@ class Session(session.Session):
             raise ProtocolError(f"`{name}` has no arguments `{', '.join(arguments)}`")
         return name, arguments
 
-    def _ground(self, name: str, arguments: tuple[str, ...]) -> GroundAction:
+    def _called(self, name: str, arguments: tuple[str, ...]) -> tuple[Call, Binding]:
         parameters, call = self._written.actions[name]
         objects = (self._objects[each] for each in arguments)
-        return call.bound(dict(zip(parameters, objects, strict=True)))
+        return call, dict(zip(parameters, objects, strict=True))
 
     def _observed(
         self,

@@ -12,6 +12,9 @@ from menid_plan.errors import MenidError
 MOST = 1 << 20  # bytes of a message
 
 
+_DECLARES = "a message has declarations in its XML, or comments, which are not read"
+
+
 class ProtocolError(MenidError):
     """The other side does not keep to the protocol, is too slow, or is gone."""
 
@@ -116,7 +119,9 @@ class _Ending:
             self.place = self._parser.CurrentByteIndex
 
     def _declares(self, *_: object) -> None:
-        raise ProtocolError("a message has declarations in its XML, which are not read")
+        raise ProtocolError(
+            "a message has declarations in its XML, or comments, which are not read"
+        )
 
 
 def parsed(message: bytes) -> ElementTree.Element:
@@ -124,7 +129,9 @@ def parsed(message: bytes) -> ElementTree.Element:
     try:
         text = message.decode().strip()
         if "<!" in text:
-            raise ProtocolError("a message has declarations in its XML, which are not read")
+            raise ProtocolError(
+                "a message has declarations in its XML, or comments, which are not read"
+            )
         return ElementTree.fromstring(text)  # noqa: S314 - what it warns of are declarations
     except (ElementTree.ParseError, ValueError) as error:
         raise ProtocolError(f"a message is no XML: {error}") from error

@@ -78,7 +78,9 @@ def solve_horizon(
         left = float(horizon - done)
         if discount < 1.0:
             left = min(left, 1.0 / (1.0 - discount))
-        error += once * min(left, _longest_run(mdp, rows, done + 1000))
+        if error + once * left > 0.25 * epsilon:  # it is seldom worth the search
+            left = min(left, _longest_run(mdp, rows, done + 1000))
+        error += once * left
     lower, upper = _bounds(value, reward[rows], discount, error, 0 if complete else horizon - done)
     if objective == "goal-probability":
         # What is reached within fewer steps is reached; 0 stays exact.
