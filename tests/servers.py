@@ -10,12 +10,12 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import pytest
 
 RUN = "from menid_plan.cli.main import main; main()"
-_OPEN: list[socket.socket] = []
+_OPEN: list[socket.socket | BinaryIO] = []
 
 
 @pytest.fixture(autouse=True)
@@ -30,6 +30,13 @@ def connected(port: int) -> socket.socket:
     """A connection to a server."""
     found = socket.create_connection(("127.0.0.1", port))
     found.settimeout(20)
+    _OPEN.append(found)
+    return found
+
+
+def lines_of(connection: socket.socket) -> BinaryIO:
+    """What comes in, to be read line by line; without being closed it would keep the connection."""
+    found = connection.makefile("rb")
     _OPEN.append(found)
     return found
 

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import pytest
 
 import servers
-from servers import closed, connected, ended
+from servers import closed, connected, ended, lines_of
 
 __all__ = ["closed"]  # a fixture of every test
 
@@ -43,7 +43,7 @@ class Client:
 
     def __init__(self, port: int) -> None:
         self.socket = connected(port)
-        self.lines = self.socket.makefile("rb")
+        self.lines = lines_of(self.socket)
 
     def say(self, text: str) -> None:
         self.socket.sendall(text.encode())
