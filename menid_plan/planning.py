@@ -120,7 +120,9 @@ class Task:
         made = made_solver(name, options)
         if not hasattr(made, "solve"):
             raise UnsupportedError(
-                f"the solver `{name}` decides step by step, and has no policy to be shown"
+                _for_learning(name)
+                if hasattr(made, "choose")
+                else f"the solver `{name}` decides step by step, and has no policy to be shown"
             )
         return cast("Solver", made)
 
@@ -129,7 +131,11 @@ class Task:
         """A solver that decides when it is asked, with some options; see `solver`."""
         made = made_solver(name, options)
         if not hasattr(made, "policy"):
-            raise UnsupportedError(f"the solver `{name}` does not decide step by step")
+            raise UnsupportedError(
+                _for_learning(name)
+                if hasattr(made, "choose")
+                else f"the solver `{name}` does not decide step by step"
+            )
         return cast("OnlineSolver", made)
 
     @staticmethod
@@ -171,6 +177,13 @@ class Task:
     def simulator(self) -> Simulator:
         """Draws episodes of what was built."""
         return Simulator(self.structure, self.mdp)
+
+
+def _for_learning(name: str) -> str:
+    return (
+        f"the solver `{name}` is asked for actions by `menid learn` alone; `menid plan` lets planners"
+        " of others play"
+    )
 
 
 def made_solver(name: str, options: Mapping[str, Any]) -> Solver | OnlineSolver | AskedSolver:

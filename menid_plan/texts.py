@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 from menid_plan.errors import LimitError
@@ -56,10 +56,14 @@ def rddl_text(
     task: Task, form: str, dialect: rddl.Dialect, horizon: int, *, stopping: bool = False
 ) -> rddl.Written:
     """The RDDL of a task, lifted or grounded, that is played for so many steps."""
-    if form == "lifted":
-        return rddl.rddl(lifted(*_of(task), split=False), dialect, horizon, stopping=stopping)
-    flat = propositional(grounded(*_of(task)))
-    return rddl.rddl(flat, dialect, horizon, stopping=stopping)
+    is_lifted = form == "lifted"
+    flat = lifted(*_of(task), split=False) if is_lifted else propositional(grounded(*_of(task)))
+    told = f"// {_origin(task, form)}, in the dialect {dialect}\n"
+    if dialect == "prost":
+        told += "// A step is two: first an action is chosen, and its outcome drawn;\n"
+        told += "// in the second, while `applying` is true, the outcome takes effect.\n"
+    written = rddl.rddl(flat, dialect, horizon, stopping=stopping)
+    return replace(written, domain=told + written.domain)
 
 
 def ppddl_text(
@@ -68,8 +72,19 @@ def ppddl_text(
     """The PPDDL of a task, lifted, grounded, or by states, for which it is explored."""
     if form == "states":
         explore(task)
-        return ppddl_states(task.domain, task.problem, task.structure, task.mdp)
-    return ppddl.ppddl(lifted(*_of(task)) if form == "lifted" else grounded(*_of(task)))
+        written = ppddl_states(task.domain, task.problem, task.structure, task.mdp)
+    else:
+        written = ppddl.ppddl(lifted(*_of(task)) if form == "lifted" else grounded(*_of(task)))
+    return replace(written, domain=f"; {_origin(task, form)}\n{written.domain}")
+
+
+def _origin(task: Task, form: str) -> str:
+    """What a reader of the text may want to know."""
+    sinks = ", noise leads out of it" if task.noise == "sink" else ""
+    how = "state by state" if form == "states" else form
+    return (
+        f"{task.domain.name} with the probabilities of environment {task.environment}, {how}{sinks}"
+    )
 
 
 def _of(task: Task) -> tuple[Domain, Problem, str, Mapping[str, float], Noise]:

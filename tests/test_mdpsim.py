@@ -159,7 +159,7 @@ def test_an_action_that_does_not_apply_ends_the_round(tmp_path: Path) -> None:
         for tag in ("round-init", "state", "state", "error", "end-round"):
             message = client.heard(tag)
             if tag == "error":
-                assert message.text == "`press(hall-lamp)` does not apply in this state"
+                assert message.text == "`(press hall-lamp)` does not apply in this state"
         assert play(client) == (True, 2)
         client.heard("end-session")
         (found,) = ended(process, 0)

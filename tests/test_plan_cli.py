@@ -178,6 +178,37 @@ def test_files_that_a_planner_is_given_stay_as_they_are(menid: Menid, coins: Pat
         (["{0}/gone"], 5, "there is no file `"),
     ],
 )  # fmt: skip
+def test_files_start_from_the_folder_of_the_declarations(menid: Menid, coins: Path) -> None:
+    (coins / "sub").mkdir()
+    (coins / "sub" / "client.py").write_text(CLIENT)
+    declare(coins / "sub", sys.executable, "client.py", "{port}", rest="files = ['client.py']\n")
+    (coins / "client.py").unlink()
+    options = ("--with", "fake", "--planners", "sub/planners.toml", "--rounds", "1")
+    result = menid("plan", "coins.menid", *options)
+    assert result.exit_code == 0, result.output
+
+
+def test_rounds_that_were_finished_count(menid: Menid, coins: Path) -> None:
+    hangs = CLIENT.replace(
+        "for _ in range(rounds):",
+        "for number in range(rounds):\n    number == 3 and time.sleep(60)",
+    )
+    declare(coins, sys.executable, "-c", hangs, "{port}")
+    result = plan(menid, "--time", "4", "--json")
+    assert result.exit_code == 5
+    found = json.loads(result.stdout)
+    assert found["rounds"] == 3
+    assert found["failure"] == "it was not done after 4 s"
+
+
+def test_what_the_goal_is_worth(menid: Menid, coins: Path) -> None:
+    declare(coins, sys.executable, "-c", CLIENT, "{port}")
+    result = plan(menid, "--rounds", "60", "--goal-reward", "108", "--json")
+    found = json.loads(result.stdout)
+    assert set(found["rewards"]) == {107.0, 106.0, -2.0}
+    assert found["best"] == pytest.approx(0.5 * 107 + 0.25 * 106 - 0.25 * 2)
+
+
 def test_files_that_can_t_lie_in_the_folder(
     menid: Menid, coins: Path, files: list[str], code: int, message: str
 ) -> None:
@@ -261,8 +292,9 @@ def test_what_a_planner_started_ends_with_it(menid: Menid, coins: Path) -> None:
         ("[planer.fake]\ncommand = ['a']\n", 3, "did you mean `planner`?"),
         ("planner = 3\n", 3, "expected tables [planner.NAME]"),
         ("[planner]\nfake = 3\n", 3, "planner.fake: expected a table"),
-        ("[planner.fakir]\ncommand = ['a']\n", 3, "did you mean `fakir`?"),
+        ("[planner.fakir]\ncommand = ['a']\n", 2, "did you mean `fakir`?"),
         ("[planner\n", 3, "planners.toml: "),
+        ("[planner.fake]\ncommand = ['a', '{nome}']\n", 3, "did you mean `name`?"),
         ('[planner.fake]\ncommand = ["a\\u0000b"]\n', 3, "planner.fake: there is a null character"),
     ],
 )
@@ -334,7 +366,7 @@ def test_planners_in_the_user_s_own_file(
     monkeypatch.setattr(known, "user_config_path", lambda *_, **__: coins / "config")
     result = menid("doctor")
     assert f"can be declared in {coins / 'config' / 'planners.toml'}\n" in result.stdout
-    assert menid("plan", "coins.menid", "--with", "fake").exit_code == 3
+    assert menid("plan", "coins.menid", "--with", "fake").exit_code == 2
     declare(coins, sys.executable, "-c", CLIENT, "{port}")
     (coins / "config").mkdir()
     (coins / "planners.toml").rename(coins / "config" / "planners.toml")
@@ -444,5 +476,12 @@ def test_solvers_that_do_not_play(menid: Menid, coins: Path) -> None:
     assert result.exit_code == 2
     assert "--grounded: the solver `value-iteration` reads no exported files" in result.stderr
     result = menid("plan", "coins.menid", "--with", "valu-iteration")
-    assert result.exit_code == 3
+    assert result.exit_code == 2
     assert "did you mean `value-iteration`?" in result.stderr
+    text = COIN.replace("horizon 2", "horizon 2\ndiscount 0.5")
+    (coins / "coins.menid").write_text(text, encoding="utf-8")
+    for command in (["solve", "--solver"], ["plan", "--with"]):
+        result = menid(command[0], "coins.menid", command[1], "policy-iteration")
+        assert result.exit_code == 4, result.output
+    result = menid("plan", "coins.menid", "--with", "value-iteration", "--rounds", "1")
+    assert "best reward, not discounted: 4.5\n" in result.stdout

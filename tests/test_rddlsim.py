@@ -210,7 +210,7 @@ ROUND = "<round-request/>"
         ),
         (
             [BEGIN, ROUND, act("press", HALL), act(), act("press", HALL)],
-            "`press(hall-lamp)` does not apply in this state",
+            "`press(hall_lamp)` does not apply in this state",
         ),
         (
             [BEGIN, ROUND, f"<actions>{2 * act('press', HALL)[9:-10]}</actions>"],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,9 +11,11 @@ import click
 from menid_plan.cli.common import distinct_outputs
 from menid_plan.cli.exporting import (
     form_option,
+    goal_reward_option,
     in_form,
     learned_option,
     load_learned,
+    with_goal_reward,
     write_texts,
 )
 from menid_plan.cli.tasks import TaskOptions, task_options
@@ -42,10 +43,7 @@ FORMS = (
     "--horizon", type=click.IntRange(1, 1_000_000), metavar="H",
     help="How many steps are taken; by default as the problem has it.",
 )  # fmt: skip
-@click.option(
-    "--goal-reward", type=float, metavar="R",
-    help="What reaching the goal pays, in place of what the problem says.",
-)  # fmt: skip
+@goal_reward_option
 @click.option(
     "--stopping", is_flag=True,
     help="Say the discount as a chance that a step is the last, for planners that ignore it.",
@@ -72,16 +70,9 @@ def command(
     They are non-fluents of the instance, which can be changed there. Lifted where that can be said,
     else grounded, which is told. Exits with 4 for what neither can say.
     """
-    from menid_plan.model.expressions import Number
-
     distinct_outputs(files, folder)
     domain, problem, environment = load_learned(files, which.environment, learned)
-    if goal_reward is not None:
-        if not math.isfinite(goal_reward):
-            raise click.UsageError(f"--goal-reward: {goal_reward} is not a finite number")
-        if problem.goal is None:
-            raise click.UsageError(f"--goal-reward: problem `{problem.name}` has no goal")
-        problem = replace(problem, goal_reward=Number(goal_reward))
+    problem = with_goal_reward(problem, goal_reward)
     problem = replace(problem, horizon=horizon or problem.horizon)
     task = which.task(domain, problem)
     task.environment = environment or task.environment

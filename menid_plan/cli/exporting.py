@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -69,6 +70,25 @@ def load_learned(
             f"--env: what a store teaches is about the target of its run, `{target}`"
         )
     return learned_domain(evidence, roles), problem, target
+
+
+goal_reward_option = click.option(
+    "--goal-reward", type=float, metavar="R",
+    help="What reaching the goal pays, in place of what the problem says.",
+)  # fmt: skip
+
+
+def with_goal_reward(problem: Problem, reward: float | None) -> Problem:
+    """A problem whose goal pays so much; None leaves it as it is."""
+    from menid_plan.model.expressions import Number
+
+    if reward is None:
+        return problem
+    if not math.isfinite(reward):
+        raise click.UsageError(f"--goal-reward: {reward} is not a finite number")
+    if problem.goal is None:
+        raise click.UsageError(f"--goal-reward: problem `{problem.name}` has no goal")
+    return replace(problem, goal_reward=Number(reward))
 
 
 def form_option(*forms: tuple[str, str]) -> Callable[[Any], Any]:

@@ -53,7 +53,7 @@ def command(
     Beside it stands the best that the domain's numbers promise. Exits with 5 if the planner fails,
     with the last that it said.
     """
-    from menid_plan.planners.known import is_known, planner
+    from menid_plan.planners.known import UnknownPlannerError, is_known, planner
     from menid_plan.planning import Task
     from menid_plan.solving import solver_entry_points
 
@@ -65,7 +65,10 @@ def command(
         found = _by_solver(name, solver, spec, play)
         objective = Task(spec.domain, spec.problem).objective
     else:
-        chosen = planner(name, declarations)
+        try:
+            chosen = planner(name, declarations)
+        except UnknownPlannerError as fault:
+            raise click.UsageError(f"--with: {fault}") from fault
         spec = play.spec(*load_both(files))
         found = _by_others(chosen, spec, play, form)
         objective = "reward"  # all that the protocols know of
@@ -84,11 +87,8 @@ def command(
         click.echo(
             f"{name}: reward {summary['mean']:.6g}{error} in {summary['rounds']} rounds{goal}"
         )
-        click.echo(
-            f"best {objective}: {best:.6g}"
-            if best is not None
-            else f"best {objective}: not known: {why}"
-        )
+        plainly = objective if spec.problem.discount is None else f"{objective}, not discounted"
+        click.echo(f"best {plainly}: {f'not known: {why}' if best is None else f'{best:.6g}'}")
     if found.failure:
         if found.output.strip():
             click.echo(found.output.rstrip(), err=True)
@@ -124,6 +124,9 @@ def _by_solver(name: str, solver: Solver, spec: EnvironmentSpec, play: RoundOpti
     from menid_plan.servers.play import Player
 
     decider = Decider(Task(spec.domain, spec.problem, spec.name, dict(spec.params)), solver)
+    decider.action(
+        frozenset(spec.problem.init), spec.problem.horizon
+    )  # what can't be solved is told
     turns = spec.problem.horizon or TURNS
     with tidied_up(), closing(Player(spec, play.seed)) as player:
         results = played(decider, name, player, play.rounds, turns, play.seconds)

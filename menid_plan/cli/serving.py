@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from menid_plan.cli.common import environment_of, setting_option
+from menid_plan.cli.exporting import goal_reward_option, with_goal_reward
 from menid_plan.cli.tasks import files_argument, finite, gathered
 from menid_plan.interrupts import tidied_up
 
@@ -29,16 +30,18 @@ class RoundOptions:
     environment: str | None
     settings: Mapping[str, float]
     horizon: int | None
+    goal_reward: float | None
     rounds: int
     seed: int
     seconds: float
 
     def spec(self, domain: Domain, problem: Problem) -> EnvironmentSpec:
-        """The environment; its problem has the horizon, if there is one."""
+        """The environment; its problem has the horizon and the goal's reward, if they are given."""
         from menid_plan.environments.registry import EnvironmentSpec
         from menid_plan.environments.runfile import read_run_file
         from menid_plan.environments.simulated import Simulated
 
+        problem = with_goal_reward(problem, self.goal_reward)
         problem = replace(problem, horizon=self.horizon or problem.horizon)
         if self.run_file is None:
             target = self.environment or domain.target
@@ -60,6 +63,7 @@ def round_options(function: Any) -> Any:
         setting_option,
         click.option("--horizon", type=click.IntRange(1, 1_000_000), metavar="H",
                      help="How many steps a round takes; by default as the problem has it."),
+        goal_reward_option,
         click.option("--rounds", type=click.IntRange(1), default=30, show_default=True,
                      metavar="N"),
         click.option("--seed", type=click.IntRange(0), default=0, show_default=True, metavar="S"),

@@ -73,7 +73,10 @@ def _show(solver: dict[str, Any]) -> None:
     click.echo(f"{solver['name']}: {solver['promise']}")
     click.echo(f"{_kind(solver)}{_needs(solver)}\n\n{solver['about'].replace('``', '`')}\n")
     if solver["options"]:
-        click.echo("options, to be set by --option NAME=VALUE of solve and simulate:")
+        where = "by --option NAME=VALUE of solve and simulate"
+        if solver["asked"]:
+            where = "in `solver_options` of a run file"
+        click.echo(f"options, to be set {where}:")
     width = max((len(option) for option in solver["options"]), default=0)
     for option, default in solver["options"].items():
         click.echo(f"  {option:{width}}  {'none' if default is None else default}")

@@ -58,7 +58,7 @@ class Model:
             raise NotExpressibleError("RDDL has no problems without actions", self.problem.span)
         self.two_phases = dialect == "prost"
         discount = 1.0 if self.problem.discount is None else self.problem.discount
-        self.stop = 1.0 - discount if stopping else 0.0
+        self.stop = round(1.0 - discount, 15) if stopping else 0.0
         self.discount = self._of_step = 1.0 if stopping else discount
         if self.two_phases:
             if self.discount == 0:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
@@ -15,7 +17,7 @@ from platformdirs import user_config_path
 
 from menid_plan.environments.settings import read_settings, unknown
 from menid_plan.errors import MenidError
-from menid_plan.solving import solver_entry_points
+from menid_plan.solving import load_solver, solver_entry_points
 
 # What may stand in a command in curly brackets.
 PLACES = ("folder", "domain", "instance", "name", "host", "port")
@@ -25,6 +27,10 @@ class PlannerError(MenidError):
     """A planner is not known, not found, or declared wrongly."""
 
     exit_code = 3
+
+
+class UnknownPlannerError(PlannerError):
+    """There is no planner of that name."""
 
 
 class PlannerMissingError(PlannerError):
@@ -39,7 +45,8 @@ class Planner:
 
     ``command`` are its program and arguments. In them stand, in curly brackets: ``folder``, the
     temporary folder in which it is started, ``domain`` and ``instance``, the files there, ``name``,
-    the name of the instance, ``host`` and ``port`` of the server. ``files`` are linked into the folder.
+    the name of the instance, ``host`` and ``port`` of the server. ``files`` are linked into the folder;
+    their names start from the folder of the TOML file.
     It reads RDDL, or PPDDL if the ``protocol`` that it speaks is mdpsim's.
     """
 
@@ -123,10 +130,19 @@ def declared(path: Path | None = None) -> dict[str, Planner]:
         elif found is not None and any("\0" in part for part in (*found.command, *found.files)):
             faults.append(f"planner.{name}: there is a null character in it")
         elif found is not None:
-            planners[name] = found
+            faults += [f"planner.{name}.command: {each}" for each in _misspelt(found.command)]
+            files = tuple(str(file.parent.absolute() / each) for each in found.files)
+            planners[name] = replace(found, files=files)
     if faults:
         raise PlannerError("\n".join(f"{file}: {fault}" for fault in faults))
     return planners
+
+
+def _misspelt(command: Sequence[str]) -> Iterator[str]:
+    """Places of a command that look like those that there are."""
+    for place in re.findall(r"\{(\w+)\}", " ".join(command)):
+        if place not in PLACES and get_close_matches(place, PLACES):
+            yield unknown(f"place `{{{place}}}`", place, PLACES)
 
 
 def is_known(name: str, path: Path | None = None) -> bool:
@@ -141,8 +157,9 @@ def planner(name: str, path: Path | None = None) -> Planner:
         return found[name]
     if name in KNOWN:
         return KNOWN[name]()
-    there = dict.fromkeys([*KNOWN, *found, *solver_entry_points()])
-    raise PlannerError(unknown(f"planner `{name}`", name, there))
+    solvers = [each for each in solver_entry_points() if hasattr(load_solver(each), "solve")]
+    there = dict.fromkeys([*KNOWN, *found, *solvers])
+    raise UnknownPlannerError(unknown(f"planner `{name}`", name, there))
 
 
 @dataclass(frozen=True, slots=True)

@@ -76,7 +76,7 @@ def run(
             return os.fstat(output.fileno()).st_size > MOST_OUTPUT
 
         until = time.monotonic() + seconds
-        connection = None
+        connection = session = None
         try:
             connection = _accepted(server, process, until, too_much)
             results = None
@@ -102,6 +102,11 @@ def run(
                 with suppress(OSError):
                     connection.shutdown(socket.SHUT_RDWR)
                 connection.close()
+        if results is None and session is not None:
+            # The rounds that it has finished count all the same.
+            with suppress(Exception):
+                results = session.result(GRACE)
+                results.failure = failure
         output.seek(max(os.fstat(output.fileno()).st_size - TAIL, 0))
         said = output.read(TAIL).decode(errors="replace")
     return Run(results, failure, said)

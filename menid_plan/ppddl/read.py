@@ -99,14 +99,15 @@ def _read(
         domain = of_domain.domain()
         if "problem" in found:
             read_problem = _ProblemReader(found["problem"], of_domain, diagnostics).problem()
-    if last is not None and not diagnostics:
+    if last is not None and (found or not diagnostics):
         for kind in ("domain", "problem"):
             if kind not in found:
                 message = f"there is no {kind}: expected `(define ({kind} NAME) ...)`"
                 if kind == "problem" and others:
                     message = f"there is no problem `{problem}`; there are: {', '.join(others)}"
+                hint = "it may be in a second file" if found else None
                 span = Span(last, 0, min(1, len(last.text)))
-                diagnostics.append(Diagnostic("error", "P101", message, span))
+                diagnostics.append(Diagnostic("error", "P101", message, span, hint))
     return domain, read_problem
 
 

@@ -78,11 +78,10 @@ class Session(session.Session):
             called = self._called()
             if called is None:
                 break
-            call, binding = called
+            said, call, binding = called
             if not player.applies(call, binding):
                 # As mdpsim has it, that ends the round, and not the session.
-                text = f"`{call.bound(binding)}` does not apply in this state"
-                self._send(element("error", text))
+                self._send(element("error", f"`{said}` does not apply in this state"))
                 break
             player.act(call.bound(binding))
         found = player.end()
@@ -94,14 +93,16 @@ class Session(session.Session):
         parts += [element("time-spent", spent), element("turns-used", found.steps)]
         self._send(element("end-round", "", *parts))
 
-    def _called(self) -> tuple[Call, Binding] | None:
-        """What the client does; None if it gives the round up."""
+    def _called(self) -> tuple[str, Call, Binding] | None:
+        """What the client does, in its words and what that means; None if it gives the round up."""
         message = self._receive()
         if message is None:
             raise ProtocolError("the client ended the session in the middle of a round")
         if message.tag == "done":
             return None
         action = message.find("action")
+        if message.tag == "act" and action is None:
+            raise ProtocolError("an `act` came without an action")
         if message.tag != "act" or action is None:
             raise ProtocolError(f"`{message.tag}` came where an action is due")
         name = words(action, "name").lower()
@@ -113,7 +114,8 @@ class Session(session.Session):
         if unknown or len(terms) != len(parameters):
             raise ProtocolError(f"`{name}` has no arguments `{', '.join(terms)}`")
         objects = (self._objects[each] for each in terms)
-        return call, dict(zip(parameters, objects, strict=True))
+        said = f"({' '.join([name, *terms])})"
+        return said, call, dict(zip(parameters, objects, strict=True))
 
     def _state(self) -> ElementTree.Element:
         """The atoms that hold and can change."""

@@ -116,7 +116,8 @@ class Session(session.Session):
                 call, binding = self._called(name, arguments)
                 doing = call.bound(binding)
                 if not player.applies(call, binding):
-                    raise ProtocolError(f"`{doing}` does not apply in this state")
+                    listed = f"({', '.join(arguments)})" if arguments else ""
+                    raise ProtocolError(f"`{name}{listed}` does not apply in this state")
                 paid = player.act(doing)
                 shown = self._observed(before, doing=chosen)
         found = player.end()
