@@ -169,15 +169,6 @@ def test_files_that_a_planner_is_given_stay_as_they_are(menid: Menid, coins: Pat
     assert mine.read_text() == "mine"
 
 
-@pytest.mark.parametrize(
-    ("files", "code", "message"),
-    [
-        (["{0}/client.py", "{0}/x/client.py"], 3, "something else in the folder is called `client.py`"),
-        (["{0}/domain.rddl"], 3, "something else in the folder is called `domain.rddl`"),
-        (["/"], 3, "something else in the folder is called ``"),
-        (["{0}/gone"], 5, "there is no file `"),
-    ],
-)  # fmt: skip
 def test_files_start_from_the_folder_of_the_declarations(menid: Menid, coins: Path) -> None:
     (coins / "sub").mkdir()
     (coins / "sub" / "client.py").write_text(CLIENT)
@@ -209,6 +200,15 @@ def test_what_the_goal_is_worth(menid: Menid, coins: Path) -> None:
     assert found["best"] == pytest.approx(0.5 * 107 + 0.25 * 106 - 0.25 * 2)
 
 
+@pytest.mark.parametrize(
+    ("files", "code", "message"),
+    [
+        (["{0}/client.py", "{0}/x/client.py"], 3, "something else in the folder is called `client.py`"),
+        (["{0}/domain.rddl"], 3, "something else in the folder is called `domain.rddl`"),
+        (["/"], 3, "something else in the folder is called ``"),
+        (["{0}/gone"], 5, "there is no file `"),
+    ],
+)  # fmt: skip
 def test_files_that_can_t_lie_in_the_folder(
     menid: Menid, coins: Path, files: list[str], code: int, message: str
 ) -> None:

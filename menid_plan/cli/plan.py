@@ -87,7 +87,8 @@ def command(
         click.echo(
             f"{name}: reward {summary['mean']:.6g}{error} in {summary['rounds']} rounds{goal}"
         )
-        plainly = objective if spec.problem.discount is None else f"{objective}, not discounted"
+        discounted = spec.problem.discount not in (None, 1)
+        plainly = f"{objective}, not discounted" if discounted else objective
         click.echo(f"best {plainly}: {f'not known: {why}' if best is None else f'{best:.6g}'}")
     if found.failure:
         if found.output.strip():

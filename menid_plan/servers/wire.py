@@ -64,8 +64,8 @@ class Wire:
             left = until - time.monotonic()
             if left <= 0:
                 raise ProtocolError(f"no whole message came within {self._seconds:g} s")
-            self._socket.settimeout(left)
             try:
+                self._socket.settimeout(left)
                 data = self._socket.recv(65536)
             except TimeoutError:
                 continue
@@ -80,8 +80,8 @@ class Wire:
 
     def send(self, data: bytes) -> None:
         """Send a message as it is."""
-        self._socket.settimeout(self._seconds)
         try:
+            self._socket.settimeout(self._seconds)
             self._socket.sendall(data)
         except OSError as error:
             raise ProtocolError(f"the connection broke: {error.strerror or error}") from error
