@@ -272,7 +272,7 @@ def test_the_shipped_bank_is_that_of_the_shipped_domain(tmp_path: Path) -> None:
     found = CliRunner().invoke(
         main,
         ["hdd", "record", str(folder / "domain.menid"), str(folder / "drive.menid"), "--run",
-         str(folder / "robot.toml"), "--executions", "12", "-o", str(bank)],
+         str(folder / "robot.toml"), "--executions", "100", "-o", str(bank)],
     )  # fmt: skip
     assert found.exit_code == 0, found.output
-    assert found.stdout == f"{bank}: 4104 executions\n"
+    assert found.stdout == f"{bank}: 34200 executions\n"
