@@ -16,7 +16,6 @@ import numpy as np
 from menid_plan.environments.runfile import Bound, WorkersTable
 from menid_plan.errors import MenidError
 from menid_plan.experience.files import lock
-from menid_plan.interrupts import Interrupts
 from menid_plan.learning.curve import Point
 from menid_plan.learning.mixtures import Floats
 from menid_plan.learning.run import Run
@@ -115,10 +114,9 @@ def run(wanted: Wanted, grid: Floats, folder: Path) -> Result:
     def point(now: Point) -> None:
         reward[np.searchsorted(grid, now.seconds) :] = now.reward
 
-    interrupts = Interrupts()
     learning = Run(
         folder, wanted.bound, wanted.settings, WorkersTable(0), params=wanted.params,
-        resume=folder.exists(), watch=point, interrupts=interrupts,
+        resume=folder.exists(), watch=point,
     )  # fmt: skip
     progress = learning.learn()
     return Result(
