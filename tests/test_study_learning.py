@@ -26,7 +26,7 @@ from menid_plan.environments.runfile import read_run_file
 from menid_plan.experience.store import Store
 from menid_plan.learning.curve import Point
 from menid_plan.studies import runs
-from menid_plan.studies.learning import Curve, Estimate, LearningStudy, Panel
+from menid_plan.studies.learning import Curve, Interval, LearningStudy, Panel
 from servers import RUN
 
 Menid = Callable[..., Result]
@@ -205,7 +205,7 @@ def test_measures() -> None:
     assert learners.as_json([panel])["panels"][0]["differences"]["with"]["reward at the end"] == {
         "mean": -3, "half_width_95": pytest.approx(38.1186, rel=1e-4),
     }  # fmt: skip
-    assert np.isnan(Estimate.of(np.ones(1)).half)
+    assert np.isnan(Interval.of(np.ones(1)).half)
 
 
 def _learners() -> Any:

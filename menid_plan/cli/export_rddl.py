@@ -18,6 +18,7 @@ from menid_plan.cli.exporting import (
     with_goal_reward,
     write_texts,
 )
+from menid_plan.cli.serving import task_of
 from menid_plan.cli.tasks import TaskOptions, task_options
 
 if TYPE_CHECKING:
@@ -82,10 +83,7 @@ def command(
 
 def for_prost(spec: EnvironmentSpec, form: str | None) -> Written:
     """The RDDL of what is played in an environment, in two phases."""
-    from menid_plan.planning import Task
-
-    task = Task(spec.domain, spec.problem, spec.name, dict(spec.params))
-    return _in_first_form(task, form, "prost", stopping=False)
+    return _in_first_form(task_of(spec), form, "prost", stopping=False)
 
 
 def _in_first_form(task: Task, form: str | None, dialect: Dialect, *, stopping: bool) -> Written:

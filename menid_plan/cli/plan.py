@@ -16,7 +16,7 @@ from menid_plan.cli.export_ppddl import FORMS, in_first_form
 from menid_plan.cli.export_rddl import for_prost
 from menid_plan.cli.exporting import form_option
 from menid_plan.cli.serve_mdpsim import TURNS
-from menid_plan.cli.serving import RoundOptions, round_options
+from menid_plan.cli.serving import RoundOptions, round_options, task_of
 from menid_plan.interrupts import tidied_up
 
 if TYPE_CHECKING:
@@ -53,27 +53,29 @@ def command(
     Beside it stands the best that the domain's numbers promise. Exits with 5 if the planner fails,
     with the last that it said.
     """
-    from menid_plan.planners.known import UnknownPlannerError, is_known, planner
+    from menid_plan.planners.known import UnknownPlannerError, planner
     from menid_plan.planning import Task
     from menid_plan.solving import solver_entry_points
 
-    if name in solver_entry_points() and not is_known(name, declarations):
+    objective: Objective = "reward"  # all that the protocols know of
+    try:
+        chosen = planner(name, declarations)
+    except UnknownPlannerError as fault:
+        if name not in solver_entry_points():
+            raise click.UsageError(f"--with: {fault}") from fault
         if form is not None:
-            raise click.UsageError(f"--{form}: the solver `{name}` reads no exported files")
+            raise click.UsageError(
+                f"--{form}: the solver `{name}` reads no exported files"
+            ) from fault
         solver = Task.solver(name)
         spec = play.spec(*load_both(files))
+        objective = task_of(spec).objective
         found = _by_solver(name, solver, spec, play)
-        objective = Task(spec.domain, spec.problem).objective
     else:
-        try:
-            chosen = planner(name, declarations)
-        except UnknownPlannerError as fault:
-            raise click.UsageError(f"--with: {fault}") from fault
         spec = play.spec(*load_both(files))
         found = _by_others(chosen, spec, play, form)
-        objective = "reward"  # all that the protocols know of
     problem = replace(spec.problem, discount=None)
-    best, why = _best(Task(spec.domain, problem, spec.name, dict(spec.params)), objective)
+    best, why = _best(task_of(replace(spec, problem=problem)), objective)
     summary: dict[str, Any] = found.results.summary() if found.results is not None else {}
     summary |= {
         "planner": name, "failure": found.failure, "best": best, "objective": objective,
@@ -101,13 +103,11 @@ def _by_others(chosen: Planner, spec: EnvironmentSpec, play: RoundOptions, form:
     """What comes of a planner of others that plays."""
     from menid_plan.planners.games import ppddl_game, rddl_game
     from menid_plan.planners.run import run
-    from menid_plan.planning import Task
     from menid_plan.servers.play import Player
 
     if chosen.protocol == "mdpsim":
-        task = Task(spec.domain, spec.problem, spec.name, dict(spec.params))
         turns = spec.problem.horizon or TURNS
-        game = ppddl_game(in_first_form(task, form), play.rounds, turns, play.seconds)
+        game = ppddl_game(in_first_form(task_of(spec), form), play.rounds, turns, play.seconds)
     elif form == "states":
         raise click.UsageError("--states: this planner reads RDDL, which is lifted or grounded")
     else:
@@ -121,13 +121,11 @@ def _by_solver(name: str, solver: Solver, spec: EnvironmentSpec, play: RoundOpti
     from menid_plan.planners.own import Decider
     from menid_plan.planners.own import play as played
     from menid_plan.planners.run import Run
-    from menid_plan.planning import Task
     from menid_plan.servers.play import Player
 
-    decider = Decider(Task(spec.domain, spec.problem, spec.name, dict(spec.params)), solver)
-    decider.action(
-        frozenset(spec.problem.init), spec.problem.horizon
-    )  # what can't be solved is told
+    decider = Decider(task_of(spec), solver)
+    # What can't be solved is told before anything is played.
+    decider.action(frozenset(spec.problem.init), spec.problem.horizon)
     turns = spec.problem.horizon or TURNS
     with tidied_up(), closing(Player(spec, play.seed)) as player:
         results = played(decider, name, player, play.rounds, turns, play.seconds)

@@ -9,7 +9,13 @@ import click
 from menid_plan.cli.common import load_both
 from menid_plan.cli.export_ppddl import FORMS, in_first_form
 from menid_plan.cli.exporting import form_option, write_texts
-from menid_plan.cli.serving import RoundOptions, ServerOptions, round_options, server_options
+from menid_plan.cli.serving import (
+    RoundOptions,
+    ServerOptions,
+    round_options,
+    server_options,
+    task_of,
+)
 
 TURNS = 1000  # actions of a round of a problem without a horizon
 
@@ -36,10 +42,10 @@ def command(
     there is none. Exits with 5 if a session ended early.
     """
     from menid_plan.planners.games import ppddl_game
-    from menid_plan.planning import Task
 
     spec = play.spec(*load_both(files))
-    texts = in_first_form(Task(spec.domain, spec.problem, spec.name, dict(play.settings)), form)
-    game = ppddl_game(texts, play.rounds, spec.problem.horizon or TURNS, play.seconds)
+    game = ppddl_game(
+        in_first_form(task_of(spec), form), play.rounds, spec.problem.horizon or TURNS, play.seconds
+    )
     write_texts(files, folder, game.files, err=True)
     server.serve(spec, play.seed, game.play)

@@ -18,6 +18,7 @@ from menid_plan.interrupts import tidied_up
 if TYPE_CHECKING:
     from menid_plan.environments.registry import EnvironmentSpec
     from menid_plan.model.domain import Domain, Problem
+    from menid_plan.planning import Task
     from menid_plan.servers.play import Player, Results
     from menid_plan.servers.wire import Wire
 
@@ -71,6 +72,13 @@ def round_options(function: Any) -> Any:
                      callback=finite,
                      show_default=True, metavar="SECONDS", help="How long it may take in all."),
     )  # fmt: skip
+
+
+def task_of(spec: EnvironmentSpec) -> Task:
+    """What is to be solved or exported for those who act in an environment."""
+    from menid_plan.planning import Task
+
+    return Task(spec.domain, spec.problem, spec.name, dict(spec.params))
 
 
 @dataclass(frozen=True, slots=True)

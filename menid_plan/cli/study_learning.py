@@ -26,7 +26,7 @@ from menid_plan.interrupts import tidied_up
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from menid_plan.studies.learning import Estimate, LearningStudy, Panel
+    from menid_plan.studies.learning import Interval, LearningStudy, Panel
 
 
 @click.command("learning")
@@ -141,20 +141,20 @@ def _penalties(text: str) -> tuple[float, ...]:
 
 def _show(study: LearningStudy, panels: Sequence[Panel]) -> None:
     """Tables for each panel: means with half the width of their 95 % intervals, and differences."""
-    from menid_plan.studies.learning import SETTINGS, Estimate
+    from menid_plan.studies.learning import SETTINGS, Interval
 
     for panel in panels:
         click.echo(f"target {SETTINGS[panel.study].target}, penalty {panel.penalty:g}")
         measures = panel.measures(study.hours)
         _print("mean of a run", {
-            name: {key: Estimate.of(values) for key, values in found.items()}
+            name: {key: Interval.of(values) for key, values in found.items()}
             for name, found in measures.items()
         })  # fmt: skip
         _print("more than without", panel.differences(study.hours))
         click.echo()
 
 
-def _print(head: str, columns: Mapping[str, Mapping[str, Estimate]]) -> None:
+def _print(head: str, columns: Mapping[str, Mapping[str, Interval]]) -> None:
     from rich.console import Console
 
     console = Console(file=sys.stdout, highlight=False, markup=False)
@@ -168,6 +168,6 @@ def _print(head: str, columns: Mapping[str, Mapping[str, Estimate]]) -> None:
         console.print(shown)
 
 
-def _text(estimate: Estimate) -> str:
-    half = "" if math.isnan(estimate.half) else f" ± {estimate.half:.3g}"
-    return f"{estimate.mean:.4g}{half}"
+def _text(found: Interval) -> str:
+    half = "" if math.isnan(found.half) else f" ± {found.half:.3g}"
+    return f"{found.mean:.4g}{half}"

@@ -145,11 +145,6 @@ def _misspelt(command: Sequence[str]) -> Iterator[str]:
             yield unknown(f"place `{{{place}}}`", place, PLACES)
 
 
-def is_known(name: str, path: Path | None = None) -> bool:
-    """Whether a planner of that name is declared, or known."""
-    return name in KNOWN or name in declared(path)
-
-
 def planner(name: str, path: Path | None = None) -> Planner:
     """The planner of that name: a declared one first, then one that is known."""
     found = declared(path)

@@ -27,6 +27,7 @@ from menid_plan.environments.seeds import seed_of
 from menid_plan.learning.mixtures import Floats
 from menid_plan.learning.settings import LearnSettings
 from menid_plan.model.domain import Domain, Problem
+from menid_plan.simulation import Estimate
 from menid_plan.studies.runs import Result, Wanted, executed
 
 Name: TypeAlias = Literal["simulation", "robot"]
@@ -69,20 +70,17 @@ SETTINGS: Mapping[Name, Setting] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class Interval:
     """A mean, and half the width of its 95 % interval (Student's t); NaN for a single value."""
 
     mean: float
     half: float
 
     @classmethod
-    def of(cls, values: Floats) -> Estimate:
+    def of(cls, values: Floats) -> Interval:
         """Of some values (float64[n])."""
-        n = len(values)
-        if n < 2:
-            return cls(float(values.mean()), math.nan)
-        half = float(stats.t.ppf(0.975, n - 1) * values.std(ddof=1) / math.sqrt(n))
-        return cls(float(values.mean()), half)
+        found = Estimate.of(values)
+        return cls(found.mean, float(stats.t.ppf(0.975, len(values) - 1)) * found.error)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,13 +125,13 @@ class Panel:
             for curve in self.curves
         }
 
-    def differences(self, hours: float) -> Mapping[str, Mapping[str, Estimate]]:
+    def differences(self, hours: float) -> Mapping[str, Mapping[str, Interval]]:
         """How much more a learner with tests has than the one without, run by run."""
         found = self.measures(hours)
         *others, base = found
         return {
             name: {
-                key: Estimate.of(found[name][key] - found[base][key])
+                key: Interval.of(found[name][key] - found[base][key])
                 for key in (EARLY, END, LOWEST, SLOPE)
             }
             for name in others
@@ -211,7 +209,7 @@ class LearningStudy:
             test_time=self.test_time if learner.tests else 0.0,
             estimator="decreasing-m", estimator_options={"m": self.m}, solver="thompson",
         )  # fmt: skip
-        name = f"{study}-{penalty:g}-{learner.name.replace(' ', '-')}-{number}"
+        name = _run_name(study, penalty, learner, number)
         return Wanted(name, self._bound(target, learner.tests, params), settings, params)
 
     def _bound(self, target: str, tests: Sequence[str], params: Mapping[str, float]) -> Bound:
@@ -242,8 +240,7 @@ class LearningStudy:
         curves = []
         for learner in SETTINGS[study].learners:
             results = tuple(
-                found[self._wanted(study, penalty, learner, number).name]
-                for number in range(self.runs)
+                found[_run_name(study, penalty, learner, number)] for number in range(self.runs)
             )
             reward = np.array([result.reward for result in results])
             curves.append(Curve(learner, reward, results))
@@ -278,7 +275,7 @@ class LearningStudy:
                     "target": SETTINGS[panel.study].target,
                     "penalty": panel.penalty,
                     "learners": {
-                        name: {key: _told(Estimate.of(values)) for key, values in found.items()}
+                        name: {key: _told(Interval.of(values)) for key, values in found.items()}
                         for name, found in panel.measures(self.hours).items()
                     },
                     "differences": {
@@ -315,6 +312,10 @@ class LearningStudy:
         return chart((3.6, 2.8), draw, dpi)
 
 
+def _run_name(study: Name, penalty: float, learner: Learner, number: int) -> str:
+    return f"{study}-{penalty:g}-{learner.name.replace(' ', '-')}-{number}"
+
+
 def _deviation(reward: Floats) -> Floats:
     """The standard deviation over runs (float64[times]); 0 for a single run."""
     if len(reward) < 2:
@@ -323,6 +324,6 @@ def _deviation(reward: Floats) -> Floats:
     return found
 
 
-def _told(estimate: Estimate) -> dict[str, float | None]:
-    half = None if math.isnan(estimate.half) else round(estimate.half, 6)
-    return {"mean": round(estimate.mean, 6), "half_width_95": half}
+def _told(found: Interval) -> dict[str, float | None]:
+    half = None if math.isnan(found.half) else round(found.half, 6)
+    return {"mean": round(found.mean, 6), "half_width_95": half}
