@@ -103,7 +103,7 @@ def test_a_planner_that_a_user_declared(menid: Menid, coins: Path) -> None:
     assert text.stdout.splitlines() == [
         f"fake: reward {found['mean']:.6g} +- {found['error']:.4g} in 60 rounds, "
         f"{found['goal_rate']:.0%} of them to the goal",
-        "best reward: 4.5",
+        "best reward, by the domain: 4.5",
     ]
 
 
@@ -445,7 +445,7 @@ def test_a_solver_plays(menid: Menid, coins: Path) -> None:
     (coins / "coins.menid").write_text(text, encoding="utf-8")
     result = menid("plan", "coins.menid", "--with", "policy-iteration", "--rounds", "400")
     assert result.exit_code == 0, result.output
-    assert result.stdout.endswith("best goal-then-reward: 4.5\n")
+    assert result.stdout.endswith("best goal-then-reward, by the domain: 4.5\n")
 
 
 def test_a_solver_where_the_environment_does_what_the_domain_does_not_foresee(
@@ -484,4 +484,4 @@ def test_solvers_that_do_not_play(menid: Menid, coins: Path) -> None:
         result = menid(command[0], "coins.menid", command[1], "policy-iteration")
         assert result.exit_code == 4, result.output
     result = menid("plan", "coins.menid", "--with", "value-iteration", "--rounds", "1")
-    assert "best reward, not discounted: 4.5\n" in result.stdout
+    assert "best reward, not discounted, by the domain: 4.5\n" in result.stdout

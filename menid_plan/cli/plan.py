@@ -91,7 +91,9 @@ def command(
         )
         discounted = spec.problem.discount not in (None, 1)
         plainly = f"{objective}, not discounted" if discounted else objective
-        click.echo(f"best {plainly}: {f'not known: {why}' if best is None else f'{best:.6g}'}")
+        click.echo(
+            f"best {plainly}, by the domain: {f'not known: {why}' if best is None else f'{best:.6g}'}"
+        )
     if found.failure:
         if found.output.strip():
             click.echo(found.output.rstrip(), err=True)

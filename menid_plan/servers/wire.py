@@ -26,6 +26,8 @@ class Wire:
 
     def __init__(self, connection: socket.socket, seconds: float) -> None:
         self._socket, self._seconds = connection, seconds
+        # A message is often sent in two pieces, the second of which is not to wait for an answer.
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._rest = b""
 
     def receive(self) -> ElementTree.Element | None:
