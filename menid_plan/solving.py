@@ -103,7 +103,11 @@ class Solution:
 
         Where nothing but rounding separates the bounds, the shortest decimal near the middle.
         """
-        low, high = float(self.lower[self.initial]), float(self.upper[self.initial])
+        return self.value_of(self.initial)
+
+    def value_of(self, state: int) -> float:
+        """The value of a state by its number; see `value`."""
+        low, high = float(self.lower[state]), float(self.upper[state])
         if low == high or not math.isfinite(high - low):
             return low if low == high else (low + high) / 2
         middle = low + (high - low) / 2  # the sum might overflow

@@ -22,6 +22,7 @@ from menid_plan.cli.common import (
 from menid_plan.cli.tasks import tell_written
 from menid_plan.files import replace_file
 from menid_plan.interrupts import Interrupts
+from menid_plan.learning.clock import clock_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -174,13 +175,13 @@ def _show(result: dict[str, Any], run: Run) -> None:
         reached = f", {result['successes']} of them to the goal"
     click.echo(
         f"{_counted(result['steps'], 'step')} in {_counted(result['episodes'], 'episode')}{reached}; "
-        f"reward {result['reward']:.6g} in {_clock(result['seconds'])}"
+        f"reward {result['reward']:.6g} in {clock_text(result['seconds'])}"
     )
     for name, each in result["environments"].items():
         failed = f", {_counted(each['failed'], 'attempt')} failed" if each["failed"] else ""
         click.echo(
             f"  {name} ({each['role']}): {_counted(each['executions'], 'execution')}, "
-            f"{_clock(each['seconds'])}{failed}"
+            f"{clock_text(each['seconds'])}{failed}"
         )
     if result["unexplained"]:
         click.echo(f"  {_counted(result['unexplained'], 'execution')} that no rule explains")
@@ -216,13 +217,6 @@ def _show_learned(evidence: Evidence) -> None:
 
 def _counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
-def _clock(seconds: float) -> str:
-    """Hours, minutes and seconds, as 1:02:03."""
-    hours, rest = divmod(round(seconds), 3600)
-    minutes, rest = divmod(rest, 60)
-    return f"{hours}:{minutes:02}:{rest:02}"
 
 
 def _which(run: Run) -> str:
@@ -290,7 +284,7 @@ class _View:
             f"{spec.name} {executions[spec.name]}" for spec in self._run.bound.environments
         )
         click.echo(
-            f"{_clock(point.seconds)}{_which(self._run)}: reward {point.reward:.6g}, "
+            f"{clock_text(point.seconds)}{_which(self._run)}: reward {point.reward:.6g}, "
             f"{_counted(point.steps, 'step')}, {_counted(point.episodes, 'episode')}; "
             f"executions: {done}",
             err=True,
@@ -304,7 +298,7 @@ class _View:
         progress = run.loop.progress
         again = "" if run.loop.executions.replay.over else "  (going through what was done before)"
         head = (
-            f"{_clock(point.seconds)}{_which(run)}  reward {point.reward:.6g}  "
+            f"{clock_text(point.seconds)}{_which(run)}  reward {point.reward:.6g}  "
             f"{_counted(point.steps, 'step')}  "
             f"{_counted(point.episodes, 'episode')}{again}"
         )
@@ -312,7 +306,7 @@ class _View:
             "environment": [spec.name for spec in run.bound.environments],
             "role": [spec.role for spec in run.bound.environments],
             "executions": [str(progress.executions[s.name]) for s in run.bound.environments],
-            "time": [_clock(progress.spent.get(s.name, 0.0)) for s in run.bound.environments],
+            "time": [clock_text(progress.spent.get(s.name, 0.0)) for s in run.bound.environments],
             "failed": [str(run.failed.get(spec.name, 0)) for spec in run.bound.environments],
         }
         if width < self.WIDE:

@@ -39,6 +39,7 @@ _COMMANDS = {
     "study": "Run a study: a table, a figure, and what they show.",
     "learn": "Learn how often outcomes happen, in several environments.",
     "estimate": "Tell what counts say of each rule; write it into the domain.",
+    "report": "Write a page about learning runs: curves, rules, policy.",
     "render": "Write pictures of an execution in the hard-drive scenes.",
     "show": "Show what a file declares, each rule as a table.",
 }

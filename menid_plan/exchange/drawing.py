@@ -33,7 +33,8 @@ class Node:
     """A state in the lines of ``state`` and what is done there (empty: an episode ends).
 
     ``left`` is the range of steps left in words, or empty; ``end`` is ``goal``, ``dead end``,
-    ``sink``, ``horizon``, ``no action``, or empty.
+    ``sink``, ``horizon``, ``no action``, or empty. ``value`` is the best of the state by the objective,
+    the middle of its bounds; NaN where an episode ends or with less than all steps of a horizon left.
     """
 
     state: tuple[str, ...]
@@ -41,6 +42,7 @@ class Node:
     left: str = ""
     end: str = ""
     initial: bool = False
+    value: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +228,10 @@ class _Graph:
             left = _left(node.least, node.most)
         action = str(self.structure.action(node.row))
         initial = node is self.nodes[0]
-        return Node(labels[node.state], action, left, initial=initial)
+        value = math.nan
+        if mdp.horizon is None or node.most == mdp.horizon:
+            value = self.solution.value_of(node.state)
+        return Node(labels[node.state], action, left, initial=initial, value=value)
 
     def _labels(self) -> dict[int, tuple[str, ...]]:
         """The text of each state: those facts that differ among the states that are drawn."""

@@ -95,6 +95,16 @@ class StoreReader:
         """The experiences that no rule explains, in order."""
         return self._experiences(f"{_SELECT} AND explanation IS NULL")
 
+    @contextmanager
+    def at_once(self) -> Iterator[None]:
+        """Whatever is read inside is of one moment, though a run may go on writing."""
+        with files.guarded(self.path, "read"):
+            self._connection.execute("BEGIN")
+        try:
+            yield
+        finally:
+            self._connection.rollback()
+
     def counts(self) -> dict[tuple[str, DistributionKey], tuple[float, ...]]:
         """By environment and distribution, how often each outcome was seen, noise last.
 

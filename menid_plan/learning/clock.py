@@ -8,6 +8,13 @@ from collections.abc import Iterable
 from typing import Protocol
 
 
+def clock_text(seconds: float) -> str:
+    """Hours, minutes and seconds, as 1:02:03."""
+    hours, rest = divmod(round(seconds), 3600)
+    minutes, rest = divmod(rest, 60)
+    return f"{hours}:{minutes:02}:{rest:02}"
+
+
 class Clock(Protocol):
     """The time of a run, in seconds since it began."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import csv
+import math
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
@@ -82,26 +82,60 @@ class Curve:
             self._file.close()
 
 
+def read_curve(path: Path) -> tuple[Point, ...]:
+    """The points of a `curve.csv`, less a row that a kill has cut.
+
+    FileNotFoundError if there is none, ValueError that tells the first line that no run has written.
+    """
+    data = path.read_bytes()
+    head, *rows = data[: data.rfind(b"\n") + 1].decode("ascii", "replace").splitlines() or [
+        Curve.HEAD
+    ]
+    if head != Curve.HEAD:
+        raise ValueError("line 1 is not the head of a learning curve")
+    points: list[Point] = []
+    before = (0.0, 0, 0, 0)
+    for number, row in enumerate(rows, start=2):
+        try:
+            seconds, reward, steps, episodes, tests, what = row.split(",")
+            point = Point(
+                float(seconds), float(reward), int(steps), int(episodes), int(tests),
+                "step" if what == "step" else "test",
+            )  # fmt: skip
+            now = (point.seconds, point.steps, point.episodes, point.tests)
+            grows = all(old <= new for old, new in zip(before, now, strict=True))
+            if not (str(point) == row and grows and math.isfinite(point.reward + point.seconds)):
+                raise ValueError
+        except ValueError:
+            raise ValueError(f"line {number} is no point of a learning curve") from None
+        points.append(point)
+        before = now
+    return tuple(points)
+
+
+def time_unit(seconds: float) -> tuple[str, float]:
+    """The unit in which the time of a run is drawn, and its seconds."""
+    return ("hours", 3600.0) if seconds >= 3600 else ("minutes", 60.0)
+
+
 def curve_png(path: Path) -> bytes:
     """A drawing of a `curve.csv`: the reward accumulated in the target, and the tests elsewhere.
 
     MissingDependencyError without Matplotlib.
     """
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    hours = [float(row["seconds"]) / 3600 for row in rows]
-    unit, scale = ("hours", 1.0) if hours and hours[-1] >= 1 else ("minutes", 60.0)
-    times = [0.0, *(scale * h for h in hours)]
+    points = read_curve(path)
+    unit, scale = time_unit(points[-1].seconds if points else 0.0)
+    times = [0.0, *(point.seconds / scale for point in points)]
 
     def draw(figure: Any) -> None:
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-        reward = [0.0, *(float(row["reward"]) for row in rows)]
+        reward = [0.0, *(point.reward for point in points)]
         above.step(times, reward, where="post", linewidth=1.2, color="#08306b")
         above.set_ylabel("reward in the target")
         for key, label, colour in (
             ("steps", "in the target", "#08306b"), ("tests", "in the tests", "#d1490e"),
         ):  # fmt: skip
-            number = [0, *(int(row[key]) for row in rows)]
+            number = [0, *(getattr(point, key) for point in points)]
             below.step(times, number, where="post", linewidth=1.2, color=colour, label=label)
         below.set_ylabel("executions")
         below.set_xlabel(f"time of the run ({unit})")

@@ -11,6 +11,8 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -18,6 +20,16 @@ from menid_plan.grounding.state import GroundAction
 
 Reason: TypeAlias = Literal["failed", "cannot-reset"]
 """Why a test was given up: every attempt failed, or the environment can't be put into the state."""
+
+
+def told_events(path: Path) -> Iterator[dict[str, Any]]:
+    """What a file tells, in order; nothing if there is none. Lines that are no events are left out."""
+    data = path.read_bytes() if path.exists() else b""
+    for line in data.decode("utf-8", "replace").splitlines():
+        with suppress(ValueError, RecursionError):
+            event = json.loads(line)
+            if isinstance(event, dict) and isinstance(event.get("event"), str):
+                yield event
 
 
 class Events:

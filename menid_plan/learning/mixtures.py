@@ -84,6 +84,34 @@ class DirichletMixture:
         found: Floats = (self.weights / sums) @ self.parameters
         return found
 
+    def intervals(self, probability: float) -> Floats:
+        """The highest-density interval of each outcome's probability (float64[k, 2]).
+
+        It is the shortest that holds it with ``probability``. Of a mixture, an outcome has a mixture of
+        Beta distributions; where that has several peaks, one interval spans those that it needs.
+        """
+        from scipy.optimize import brentq, minimize_scalar
+        from scipy.special import betainc
+
+        rest = np.add.reduce(self.parameters, axis=1)[:, None] - self.parameters
+        found = np.empty((self.parameters.shape[1], 2))
+        for outcome in range(len(found)):
+            a, b = self.parameters[:, outcome], rest[:, outcome]
+
+            def quantile(p: float, a: Floats = a, b: Floats = b) -> float:
+                if not 0.0 < p < 1.0:
+                    return float(p >= 1.0)
+                return float(brentq(lambda x: self.weights @ betainc(a, b, x) - p, 0.0, 1.0))
+
+            def width(below: float) -> float:
+                return quantile(below + probability) - quantile(below)
+
+            most = 1.0 - probability
+            inside = minimize_scalar(width, bounds=(0.0, most), method="bounded").x
+            below = min((0.0, most, float(inside)), key=width)
+            found[outcome] = quantile(below), quantile(below + probability)
+        return found
+
     def sample(self, rng: np.random.Generator, size: int | None = None) -> Floats:
         """A distribution drawn from the belief (float64[k]), or so many of them (float64[size, k])."""
         if len(self.weights) == 1:

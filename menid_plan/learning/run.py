@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from menid_plan import __version__
 from menid_plan.environments.runfile import Bound, WorkersTable
 from menid_plan.environments.seeds import seed_of
 from menid_plan.environments.settings import SettingError, differences
@@ -135,7 +136,9 @@ class Run:
         whatever the target or the domain give reason to. A run can be resumed after any of these.
         """
         with self._opened, self._interrupts:
-            self._event("resumes" if self.resumed else "starts", stored=len(self.store))
+            versions = {"menid-plan": __version__, "numpy": np.__version__}
+            started = "resumes" if self.resumed else "starts"
+            self._event(started, stored=len(self.store), versions=versions)
             try:
                 self.loop.run()
             except BaseException as error:

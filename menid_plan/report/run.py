@@ -1,0 +1,331 @@
+"""What the folder of a learning run tells: how it went, and what was learned."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from menid_plan.errors import MenidError
+from menid_plan.experience.record import DistributionKey
+from menid_plan.experience.store import Store
+from menid_plan.grounding.semantics import Semantics
+from menid_plan.learning.confidence import delta
+from menid_plan.learning.counts import Evidence, agreement
+from menid_plan.learning.curve import Point, read_curve
+from menid_plan.learning.events import told_events
+from menid_plan.learning.run import CURVE, EVENTS, STORE, RunError
+from menid_plan.learning.settings import LearnSettings
+from menid_plan.learning.stored import stored_evidence
+from menid_plan.mdp.model import Floats
+from menid_plan.model.domain import Domain, Problem
+from menid_plan.model.rules import Outcome
+from menid_plan.model.text import effects_text
+from menid_plan.report.plan import Plan, learned_plan
+
+FILM = "best.gif"
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """What was done in an environment; ``failed`` attempts are not among the ``executions``.
+
+    ``course`` has the executions at each point of the curve, ``unexplained`` are those that no rule
+    covers.
+    """
+
+    name: str
+    role: str
+    executions: int
+    seconds: float
+    failed: int
+    unexplained: int
+    course: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """An outcome: its estimate for the target with a credible interval, and how often it was seen.
+
+    ``given`` is the probability that the domain itself writes for the target, None if it does not;
+    ``interval`` is None where nothing that was seen bears on the target. ``counts`` are by environment,
+    the target first.
+    """
+
+    name: str
+    effects: str
+    estimate: float
+    interval: tuple[float, float] | None
+    given: float | None
+    counts: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Distribution:
+    """What was learned of one distribution; ``totals`` and the bounds ``deltas`` by environment."""
+
+    key: DistributionKey
+    per: tuple[str, ...]
+    rows: tuple[Row, ...]
+    totals: tuple[float, ...]
+    deltas: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """How far a test is from the target: the outcome whose relative frequencies differ most.
+
+    ``same`` is how probable it is that both share one distribution; see `agreement`.
+    """
+
+    key: DistributionKey
+    test: str
+    outcome: str
+    in_target: float
+    in_test: float
+    target_total: float
+    test_total: float
+    same: float
+
+    @property
+    def size(self) -> float:
+        """The difference of the frequencies."""
+        return abs(self.in_target - self.in_test)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunReport:
+    """A learning run as its folder tells it.
+
+    ``end`` says how it ended, ``notes`` what is missing. ``points`` are those of its curve, ``places``
+    its environments, the target first. ``unseen`` are rules of which there is no count. ``film`` is the
+    GIF file in the folder, if there is one.
+    """
+
+    folder: Path
+    domain: Domain
+    problem: Problem
+    created: str
+    settings: Mapping[str, Any]
+    versions: Mapping[str, str]
+    end: str
+    notes: tuple[str, ...]
+    points: tuple[Point, ...]
+    places: tuple[Place, ...]
+    steps: int
+    successes: int | None
+    learned: tuple[Distribution, ...]
+    unseen: tuple[str, ...]
+    gaps: tuple[Gap, ...]
+    plan: Plan
+    film: bytes | None
+
+    @property
+    def target(self) -> Place:
+        """The environment whose reward counts."""
+        return self.places[0]
+
+    @property
+    def last(self) -> Point | None:
+        """The last point of the curve; None where there is none."""
+        return self.points[-1] if self.points else None
+
+    @property
+    def epsilon(self) -> float:
+        """The probability with which a bound or an interval may be exceeded."""
+        return float(self.settings["learn"]["epsilon"])
+
+
+def read_run(folder: Path) -> RunReport:
+    """Read what there is of a run, which may have been killed or be under way; nothing is changed.
+
+    Raises RunError if there is no run or its curve is damaged, StoreError if the store is.
+    """
+    store_path = folder / STORE
+    if not store_path.is_file():
+        raise RunError(
+            f"`{folder}` is not the folder of a run: it has no {STORE}; give one that `menid learn -o` "
+            "has written"
+        )
+    if store_path.stat().st_size == 0:
+        raise RunError(f"`{store_path}` is empty: the run had not begun; `menid learn` begins it")
+    notes = []
+    points: tuple[Point, ...] = ()
+    try:
+        points = read_curve(folder / CURVE)
+    except FileNotFoundError:
+        notes.append(
+            f"{CURVE} is missing, so there are no curves; `menid learn --resume` writes it anew"
+        )
+    except ValueError as error:
+        raise RunError(
+            f"`{folder / CURVE}`, {error}; remove the file, and `menid learn --resume` writes it anew"
+        ) from error
+    events = list(told_events(folder / EVENTS))
+    # After the curve: whoever writes to both stores first what the curve tells of.
+    with Store.read(store_path) as store, store.at_once():
+        evidence = stored_evidence(store)
+        learn = _learn_settings(store_path, store.settings)
+        settings = {"params": {}, **store.settings, "learn": learn}
+        totals = store.totals()
+        semantics = Semantics(evidence.domain, store.problem, settings["params"])
+        order, successes = [], 0
+        goals: dict[Any, bool] = {}
+        for experience in store:
+            order.append(evidence.environments.index(experience.environment))
+            if order[-1] == 0 and store.problem.goal is not None:
+                after = experience.after
+                if after not in goals:
+                    goals[after] = semantics.is_goal(after)
+                successes += goals[after]
+        problem, created = store.problem, store.created
+    courses = _courses(np.array(order, np.int64), len(evidence.environments), points)
+    failed = Counter(str(e.get("environment")) for e in events if e["event"] == "failure")
+    places = tuple(
+        Place(
+            name, "test" if number else "target", totals[name].executions, totals[name].seconds,
+            failed[name], totals[name].unexplained, courses[number],
+        )
+        for number, name in enumerate(evidence.environments)
+    )  # fmt: skip
+    told = points[-1].steps + points[-1].tests if points else 0
+    if points and told < len(order):
+        notes.append(
+            f"{len(order) - told} executions were stored after the last point of the curve; counts and "
+            "what was learned have them"
+        )
+    if told > len(order):
+        raise RunError(
+            f"`{folder / CURVE}` tells of {told} executions, and the store has {len(order)}: they are not "
+            "of one run; put back the file that is of another"
+        )
+    film = None
+    if (folder / FILM).is_file():
+        film = (folder / FILM).read_bytes()
+        if not film.startswith(b"GIF8"):
+            film = None
+            notes.append(f"{FILM} is no GIF image, and was left out")
+    seen = [key for key in evidence.keys if evidence.counts(key).any()]
+    known = {(key.action, key.rule) for key in seen}
+    return RunReport(
+        folder, evidence.domain, problem, created, settings, _versions(events), _end(events),
+        tuple(notes), points, places, totals[places[0].name].executions,
+        None if problem.goal is None else successes,
+        tuple(_learned(evidence, key, settings["learn"]) for key in seen),
+        tuple(
+            f"{action.name}.{rule.name}"
+            for action in evidence.domain.actions
+            for rule in action.rules
+            if (action.name, rule.name) not in known
+        ),
+        tuple(sorted(_gaps(evidence, seen), key=lambda gap: (-gap.size, gap.key, gap.test))),
+        learned_plan(evidence, problem, settings["learn"]["objective"], settings["params"]),
+        film,
+    )  # fmt: skip
+
+
+def _learn_settings(path: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings of the loop; where an older run lacks one it had the usual value."""
+    try:
+        return asdict(LearnSettings(**settings.get("learn", {})))
+    except (TypeError, MenidError) as error:
+        raise RunError(f"the settings in the store `{path}` are no run's: {error}") from error
+
+
+def _courses(order: Any, environments: int, points: tuple[Point, ...]) -> list[tuple[int, ...]]:
+    """The executions at each point, by environment; ``order`` has the environment of each in turn."""
+    done = np.array([point.steps + point.tests for point in points], np.int64)
+    return [
+        tuple(np.concatenate(([0], np.cumsum(order == number)))[done].tolist())
+        for number in range(environments)
+    ]
+
+
+def _versions(events: list[dict[str, Any]]) -> dict[str, str]:
+    """The versions of what made the run, at its last sitting."""
+    found: dict[str, str] = {}
+    for event in events:
+        versions = event.get("versions")
+        if isinstance(versions, dict):
+            found = {str(name): str(version) for name, version in versions.items()}
+    return found
+
+
+def _end(events: list[dict[str, Any]]) -> str:
+    """How a run ended, as its last event says."""
+    ends = [
+        e for e in events if e["event"] in ("starts", "resumes", "ended", "interrupted", "failed")
+    ]
+    match ends[-1]["event"] if ends else "":
+        case "ended":
+            return "ended"
+        case "interrupted":
+            return "interrupted; --resume goes on with it"
+        case "failed":
+            return f"failed: {ends[-1].get('message', 'nobody knows why')}"
+        case "":
+            return f"not known, since {EVENTS} does not tell"
+    return "under way, or killed; --resume goes on with a run that was killed"
+
+
+def _learned(evidence: Evidence, key: DistributionKey, learn: Mapping[str, Any]) -> Distribution:
+    epsilon, method = learn["epsilon"], learn["delta_method"]
+    rule, counts = evidence.rule(key), evidence.counts(key)
+    given = evidence.given(key, evidence.environments[0])
+    estimate = evidence.answer(key).tolist()
+    intervals: list[tuple[float, float] | None] = [None] * len(estimate)
+    if evidence.knows(key):
+        intervals = [
+            (low, high) for low, high in evidence.belief(key).intervals(1 - epsilon).tolist()
+        ]
+    return Distribution(
+        key, rule.per,
+        tuple(
+            Row(
+                outcome.name, _effects(outcome), estimate[i], intervals[i],
+                None if given is None else float(given[i]), tuple(counts[:, i].tolist()),
+            )
+            for i, outcome in enumerate(rule.outcomes)
+        ),
+        tuple(counts.sum(axis=1).tolist()),
+        tuple(delta(row, epsilon, method) for row in counts),
+    )  # fmt: skip
+
+
+def _effects(outcome: Outcome) -> str:
+    return "what no other outcome describes" if outcome.is_noise else effects_text(outcome.effects)
+
+
+def _gaps(evidence: Evidence, keys: list[DistributionKey]) -> Iterator[Gap]:
+    """Of each distribution that was seen in the target and in a test."""
+    for key in keys:
+        counts = evidence.counts(key)
+        names = [outcome.name for outcome in evidence.rule(key).outcomes]
+        for test, seen in zip(evidence.environments[1:], counts[1:], strict=True):
+            if counts[0].any() and seen.any():
+                here, there = _shares(counts[0]), _shares(seen)
+                widest = int(np.abs(here - there).argmax())
+                yield Gap(
+                    key, test, names[widest], float(here[widest]), float(there[widest]),
+                    float(counts[0].sum()), float(seen.sum()), agreement(counts[0], seen),
+                )  # fmt: skip
+
+
+def _shares(counts: Floats) -> Floats:
+    return np.asarray(counts / counts.sum())
+
+
+def setting_rows(settings: Mapping[str, Any], head: str = "") -> dict[str, str]:
+    """Settings by their names with dots, as JSON."""
+    found: dict[str, str] = {}
+    for name, value in settings.items():
+        if isinstance(value, Mapping) and value:
+            found.update(setting_rows(value, f"{head}{name}."))
+        else:
+            found[head + name] = json.dumps(value, ensure_ascii=False)
+    return found
