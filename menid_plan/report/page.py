@@ -5,9 +5,8 @@ from __future__ import annotations
 import base64
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from menid_plan import __version__, charts
 from menid_plan.errors import MissingDependencyError
@@ -17,6 +16,7 @@ from menid_plan.report.run import RunReport, setting_rows
 
 # Below the one and above the other, that an environment shares the target's distribution is decided.
 _SURE = 0.05
+_NONE = "\N{EN DASH}"
 # Runs of one look that are all named.
 _NAMED = 6
 
@@ -107,12 +107,12 @@ def _summary(run: RunReport) -> dict[str, str]:
     )
     return {
         "steps": str(run.steps),
-        "episodes": "–" if last is None else str(last.episodes),
+        "episodes": _NONE if last is None else str(last.episodes),
         "to the goal": _count(run.successes),
         "accumulated reward": _number(None if last is None else last.reward),
         "tests": str(sum(place.executions for place in run.places[1:])),
-        "time": "–" if last is None else clock_text(last.seconds),
-        "best first action": plan.action or "–",
+        "time": _NONE if last is None else clock_text(last.seconds),
+        "best first action": plan.action or _NONE,
         "its value": f"{_number(plan.value)} ({plan.objective})",
         **goal,
         "solver": learn["solver"],
@@ -125,7 +125,7 @@ def _summary(run: RunReport) -> dict[str, str]:
 
 
 def _count(value: int | None) -> str:
-    return "–" if value is None else str(value)
+    return _NONE if value is None else str(value)
 
 
 def _settings(runs: Sequence[RunReport]) -> tuple[dict[str, str], dict[str, list[str]]]:
@@ -138,11 +138,11 @@ def _settings(runs: Sequence[RunReport]) -> tuple[dict[str, str], dict[str, list
 
 
 def _number(value: float | None) -> str:
-    return "–" if value is None or math.isnan(value) else f"{value:.6g}"
+    return _NONE if value is None or math.isnan(value) else f"{value:.6g}"
 
 
 def _chance(value: float | None) -> str:
-    return "–" if value is None else f"{value:.3f}"
+    return _NONE if value is None else f"{value:.3f}"
 
 
 def _percent(value: float) -> str:
@@ -152,4 +152,4 @@ def _percent(value: float) -> str:
 def _verdict(same: float) -> str:
     if same < _SURE:
         return "differs"
-    return "the same" if same > 1 - _SURE else "not known"
+    return "the same" if same > 1 - _SURE else "not sure"

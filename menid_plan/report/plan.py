@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, cast
+from dataclasses import dataclass, replace
+from typing import cast
 
 from menid_plan.errors import LimitError, MeaningError
 from menid_plan.exchange.drawing import Drawing, drawing_of
 from menid_plan.grounding.state import SINK
 from menid_plan.learning.counts import Evidence, learned_domain
+from menid_plan.mdp.explore import Structure
+from menid_plan.mdp.model import MDP
 from menid_plan.model.domain import Problem
 from menid_plan.planning import Task
 from menid_plan.policy import known_value
@@ -40,8 +42,8 @@ class Plan:
     """The best policy by what was learned.
 
     ``value`` (of the initial state) is NaN and ``action`` empty where nothing is best, or nothing is
-    known; ``why`` says so. ``drawing`` has all decisions, or ``path`` the likeliest way, from the
-    state ``start`` to ``end``.
+    known. ``drawing`` has all decisions; where it has not, ``why`` says why not, and ``path`` is the
+    likeliest way from the state ``start``, which ends as ``end`` says.
     """
 
     objective: str
@@ -72,61 +74,64 @@ def learned_plan(
         return Plan(best, why=str(error))
     row = int(solution.policy[solution.initial])
     if solution.status in ("unbounded", "infeasible") or row < 0:
-        return Plan(best, states=task.structure.states, why=f"no policy is best: {solution.status}")
+        return Plan(best, states=task.structure.states, why=f"nothing is best ({solution.status})")
     chances = solution.goal_probability
-    drawing, why, start, path, end = None, "", (), (), ""
-    try:
-        drawing = drawing_of(task.structure, task.mdp, solution)
-    except LimitError as error:
-        why = str(error)
-        start, path, end = _likeliest(task, solution)
-    return Plan(
+    found = Plan(
         best, known_value(solution), str(task.action(row)),
         None if chances is None else float(chances[solution.initial]), task.structure.states,
-        why, drawing, start, path, end,
     )  # fmt: skip
+    try:
+        return replace(found, drawing=drawing_of(task.structure, task.mdp, solution))
+    except LimitError as error:
+        found = replace(found, why=str(error))
+    if task.mdp.horizon is not None and solution.steps is None:
+        return found
+    start = frozenset(problem.init) - task.structure.problem.always
+    path, end = _likeliest(task, solution)
+    return replace(found, start=tuple(sorted(map(str, start))), path=path, end=end)
 
 
-def _likeliest(task: Task, solution: Solution) -> tuple[tuple[str, ...], tuple[Step, ...], str]:
-    """The initial state, the steps by the likeliest outcomes that lead on, and where they end."""
-    structure, mdp = task.structure, task.mdp
-    number, path, been = mdp.initial, [], set[int]()
-    always = structure.problem.always
-    start = frozenset(task.problem.init) - always
-    while True:
+def _likeliest(task: Task, solution: Solution) -> tuple[tuple[Step, ...], str]:
+    """The steps from the initial state to the likeliest states that are new, and why they end."""
+    mdp, number = task.mdp, task.mdp.initial
+    been: set[int] = set()
+    path: list[Step] = []
+    while len(path) < MAX_STEPS:
         been.add(number)
         left = None if mdp.horizon is None else mdp.horizon - len(path)
-        if mdp.goal[number]:
-            return _atoms(start), tuple(path), "a goal"
         row = int(solution.policy[number])
         if solution.steps is not None and left is not None:
             row = solution.steps.row(number, left)
+        if mdp.goal[number]:
+            return tuple(path), "A goal is reached."
         if row < 0:
-            return _atoms(start), tuple(path), "the end of the episode"
-        if len(path) == MAX_STEPS:
-            return _atoms(start), tuple(path), "and so on"
-        chances: dict[int, float] = {}
-        first, last = mdp.row_transition[row : row + 2].tolist()
-        for next_, p in zip(
-            mdp.next_state[first:last].tolist(), mdp.row_probabilities(row), strict=True
-        ):
-            chances[next_] = chances.get(next_, 0.0) + float(p)
-        onward = {state: p for state, p in chances.items() if state not in been and p > 0.0}
-        value = solution.value_of(number) if left in (None, mdp.horizon) else math.nan
+            return tuple(path), "There the episode ends."
+        onward = {n: p for n, p in _leads_to(mdp, row).items() if p > 0.0 and n not in been}
         if not onward:
-            step = Step(str(task.action(row)), value, sum(chances.values()), ())
-            return _atoms(start), (*path, step), "a state that was come to before"
-        next_ = max(onward, key=lambda state: onward[state])
-        before, after = structure.state(number), structure.state(next_)
-        changes: tuple[str, ...] = ("the sink of what no outcome describes",)
-        if before is not SINK and after is not SINK:
-            changes = tuple(
-                [f"- {atom}" for atom in sorted(map(str, before - after))]
-                + [f"+ {atom}" for atom in sorted(map(str, after - before))]
-            )
-        path.append(Step(str(task.action(row)), value, onward[next_], changes))
-        number = next_
+            return tuple(path), f"There {task.action(row)} leads to no other state."
+        after = max(onward, key=lambda n: onward[n])
+        value = solution.value_of(number) if left in (None, mdp.horizon) else math.nan
+        changes = _changes(task.structure, number, after)
+        path.append(Step(str(task.action(row)), value, onward[after], changes))
+        number = after
+    return tuple(path), "More steps are not shown."
 
 
-def _atoms(atoms: frozenset[Any]) -> tuple[str, ...]:
-    return tuple(sorted(map(str, atoms)))
+def _leads_to(mdp: MDP, row: int) -> dict[int, float]:
+    """The states to which a row leads, with their probabilities."""
+    found: dict[int, float] = {}
+    first, last = mdp.row_transition[row : row + 2].tolist()
+    chances = mdp.row_probabilities(row).tolist()
+    for state, chance in zip(mdp.next_state[first:last].tolist(), chances, strict=True):
+        found[state] = found.get(state, 0.0) + chance
+    return found
+
+
+def _changes(structure: Structure, number: int, after: int) -> tuple[str, ...]:
+    before, then = structure.state(number), structure.state(after)
+    if before is SINK or then is SINK:
+        return ("what no outcome describes",)
+    return tuple(
+        [f"- {atom}" for atom in sorted(map(str, before - then))]
+        + [f"+ {atom}" for atom in sorted(map(str, then - before))]
+    )

@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from menid_plan.errors import MenidError
+from menid_plan.experience.reading import StoreReader
 from menid_plan.experience.record import DistributionKey
 from menid_plan.experience.store import Store
 from menid_plan.grounding.semantics import Semantics
+from menid_plan.grounding.state import State
 from menid_plan.learning.confidence import delta
 from menid_plan.learning.counts import Evidence, agreement
 from menid_plan.learning.curve import Point, read_curve
@@ -22,7 +24,7 @@ from menid_plan.learning.events import told_events
 from menid_plan.learning.run import CURVE, EVENTS, STORE, RunError
 from menid_plan.learning.settings import LearnSettings
 from menid_plan.learning.stored import stored_evidence
-from menid_plan.mdp.model import Floats
+from menid_plan.mdp.model import Floats, Ints
 from menid_plan.model.domain import Domain, Problem
 from menid_plan.model.rules import Outcome
 from menid_plan.model.text import effects_text
@@ -146,46 +148,32 @@ def read_run(folder: Path) -> RunReport:
 
     Raises RunError if there is no run or its curve is damaged, StoreError if the store is.
     """
-    store_path = folder / STORE
-    if not store_path.is_file():
-        raise RunError(
-            f"`{folder}` is not the folder of a run: it has no {STORE}; give one that `menid learn -o` "
-            "has written"
-        )
-    if store_path.stat().st_size == 0:
-        raise RunError(f"`{store_path}` is empty: the run had not begun; `menid learn` begins it")
-    notes = []
-    points: tuple[Point, ...] = ()
-    try:
-        points = read_curve(folder / CURVE)
-    except FileNotFoundError:
-        notes.append(
-            f"{CURVE} is missing, so there are no curves; `menid learn --resume` writes it anew"
-        )
-    except ValueError as error:
-        raise RunError(
-            f"`{folder / CURVE}`, {error}; remove the file, and `menid learn --resume` writes it anew"
-        ) from error
+    path = _store_of(folder)
+    notes: list[str] = []
+    points = _points(folder, notes)
     events = list(told_events(folder / EVENTS))
+    film = _film(folder, notes)
     # After the curve: whoever writes to both stores first what the curve tells of.
-    with Store.read(store_path) as store, store.at_once():
+    with Store.read(path) as store, store.at_once():
         evidence = stored_evidence(store)
-        learn = _learn_settings(store_path, store.settings)
+        learn = _learn_settings(store)
         settings = {"params": {}, **store.settings, "learn": learn}
         totals = store.totals()
-        semantics = Semantics(evidence.domain, store.problem, settings["params"])
-        order, successes = [], 0
-        goals: dict[Any, bool] = {}
-        for experience in store:
-            order.append(evidence.environments.index(experience.environment))
-            if order[-1] == 0 and store.problem.goal is not None:
-                after = experience.after
-                if after not in goals:
-                    goals[after] = semantics.is_goal(after)
-                successes += goals[after]
+        order, successes = _history(store, evidence, settings["params"])
         problem, created = store.problem, store.created
-    courses = _courses(np.array(order, np.int64), len(evidence.environments), points)
+    done = points[-1].steps + points[-1].tests if points else 0
+    if done > len(order):
+        raise RunError(
+            f"`{folder / CURVE}` tells of {done} executions, and the store has {len(order)}: "
+            "they are not of one run; put back the file that is of another"
+        )
+    if points and done < len(order):
+        notes.append(
+            f"{len(order) - done} executions were stored after the last point of the curve; counts and "
+            "what was learned have them"
+        )
     failed = Counter(str(e.get("environment")) for e in events if e["event"] == "failure")
+    courses = _courses(order, len(evidence.environments), points)
     places = tuple(
         Place(
             name, "test" if number else "target", totals[name].executions, totals[name].seconds,
@@ -193,30 +181,12 @@ def read_run(folder: Path) -> RunReport:
         )
         for number, name in enumerate(evidence.environments)
     )  # fmt: skip
-    told = points[-1].steps + points[-1].tests if points else 0
-    if points and told < len(order):
-        notes.append(
-            f"{len(order) - told} executions were stored after the last point of the curve; counts and "
-            "what was learned have them"
-        )
-    if told > len(order):
-        raise RunError(
-            f"`{folder / CURVE}` tells of {told} executions, and the store has {len(order)}: they are not "
-            "of one run; put back the file that is of another"
-        )
-    film = None
-    if (folder / FILM).is_file():
-        film = (folder / FILM).read_bytes()
-        if not film.startswith(b"GIF8"):
-            film = None
-            notes.append(f"{FILM} is no GIF image, and was left out")
     seen = [key for key in evidence.keys if evidence.counts(key).any()]
     known = {(key.action, key.rule) for key in seen}
     return RunReport(
         folder, evidence.domain, problem, created, settings, _versions(events), _end(events),
-        tuple(notes), points, places, totals[places[0].name].executions,
-        None if problem.goal is None else successes,
-        tuple(_learned(evidence, key, settings["learn"]) for key in seen),
+        tuple(notes), points, places, places[0].executions, successes,
+        tuple(_learned(evidence, key, learn) for key in seen),
         tuple(
             f"{action.name}.{rule.name}"
             for action in evidence.domain.actions
@@ -224,26 +194,78 @@ def read_run(folder: Path) -> RunReport:
             if (action.name, rule.name) not in known
         ),
         tuple(sorted(_gaps(evidence, seen), key=lambda gap: (-gap.size, gap.key, gap.test))),
-        learned_plan(evidence, problem, settings["learn"]["objective"], settings["params"]),
-        film,
+        learned_plan(evidence, problem, learn["objective"], settings["params"]), film,
     )  # fmt: skip
 
 
-def _learn_settings(path: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
+def _store_of(folder: Path) -> Path:
+    path = folder / STORE
+    if not path.is_file():
+        raise RunError(
+            f"`{folder}` is not the folder of a run: it has no {STORE}; give one that `menid learn -o` "
+            "has written"
+        )
+    if path.stat().st_size == 0:
+        raise RunError(f"`{path}` is empty: the run has not begun; `menid learn` begins it anew")
+    return path
+
+
+def _points(folder: Path, notes: list[str]) -> tuple[Point, ...]:
+    path = folder / CURVE
+    try:
+        return read_curve(path)
+    except FileNotFoundError:
+        notes.append(
+            f"{CURVE} is missing, and curves with it; `menid learn --resume` writes it anew"
+        )
+        return ()
+    except ValueError as error:
+        raise RunError(
+            f"`{path}`, {error}; remove the file, and `menid learn --resume` writes it anew"
+        ) from error
+
+
+def _film(folder: Path, notes: list[str]) -> bytes | None:
+    path = folder / FILM
+    if not path.is_file():
+        return None
+    data = path.read_bytes()
+    if data.startswith(b"GIF8"):
+        return data
+    notes.append(f"{FILM} is no GIF image, and was left out")
+    return None
+
+
+def _history(
+    store: StoreReader, evidence: Evidence, params: Mapping[str, float]
+) -> tuple[Ints, int | None]:
+    """Of each execution in turn the number of its environment, and how many ended at the goal."""
+    semantics = Semantics(evidence.domain, store.problem, params)
+    goals: dict[State, bool] = {}
+    order, successes = [], 0
+    for experience in store:
+        order.append(evidence.environments.index(experience.environment))
+        after = experience.after
+        if order[-1] == 0:  # in the target
+            if after not in goals:
+                goals[after] = semantics.is_goal(after)
+            successes += goals[after]
+    return np.array(order, np.int64), None if store.problem.goal is None else successes
+
+
+def _learn_settings(store: StoreReader) -> dict[str, Any]:
     """The settings of the loop; where an older run lacks one it had the usual value."""
     try:
-        return asdict(LearnSettings(**settings.get("learn", {})))
+        return asdict(LearnSettings(**store.settings.get("learn", {})))
     except (TypeError, MenidError) as error:
-        raise RunError(f"the settings in the store `{path}` are no run's: {error}") from error
+        raise RunError(f"the settings in the store `{store.path}` are no run's: {error}") from error
 
 
-def _courses(order: Any, environments: int, points: tuple[Point, ...]) -> list[tuple[int, ...]]:
+def _courses(order: Ints, environments: int, points: tuple[Point, ...]) -> list[tuple[int, ...]]:
     """The executions at each point, by environment; ``order`` has the environment of each in turn."""
     done = np.array([point.steps + point.tests for point in points], np.int64)
-    return [
-        tuple(np.concatenate(([0], np.cumsum(order == number)))[done].tolist())
-        for number in range(environments)
-    ]
+    sums = (np.concatenate(([0], np.cumsum(order == number))) for number in range(environments))
+    return [tuple(each[done].tolist()) for each in sums]
 
 
 def _versions(events: list[dict[str, Any]]) -> dict[str, str]:
@@ -298,7 +320,7 @@ def _learned(evidence: Evidence, key: DistributionKey, learn: Mapping[str, Any])
 
 
 def _effects(outcome: Outcome) -> str:
-    return "what no other outcome describes" if outcome.is_noise else effects_text(outcome.effects)
+    return "whatever else happens" if outcome.is_noise else effects_text(outcome.effects)
 
 
 def _gaps(evidence: Evidence, keys: list[DistributionKey]) -> Iterator[Gap]:
