@@ -51,6 +51,27 @@ def delta(
     raise ValueError(f"there is no method `{method}`; there are: {', '.join(METHODS)}")
 
 
+def gap_by_chance(target: ArrayLike, test: ArrayLike, samples: int = SAMPLES) -> float:
+    """How often two samples of one distribution are as far apart as these, or further.
+
+    How far is the largest difference of a relative frequency, max_i |x_i / N - y_i / M|. A permutation
+    test: all executions are dealt out to the two environments again, so many times, from a seed of its
+    own. ``target`` and ``test`` are counts (float64[k], of which neither is all 0), rounded to whole
+    numbers; beyond a thousand million of them as if there were no more.
+    """
+    x, y = checked_counts(target), checked_counts(test)
+    shrunk = min(1.0, 9e8 / float(x.sum() + y.sum()))
+    x, y = np.rint(shrunk * x), np.rint(shrunk * y)
+    n, m, both = x.sum(), y.sum(), (x + y).astype(np.int64)
+    if not (n and m):
+        return 1.0
+    rng = np.random.default_rng(0)
+    dealt = rng.multivariate_hypergeometric(both, int(n), size=samples, method="marginals")
+    gaps = np.abs(dealt / n - (both - dealt) / m).max(axis=1)
+    found = np.abs(x / n - y / m).max()
+    return float((1 + np.count_nonzero(gaps >= found * (1.0 - 1e-12))) / (1 + samples))
+
+
 def drawn_errors(counts: Floats, samples: int, rng: np.random.Generator) -> Floats:
     """Errors max_i |p_i - q_i| of distributions drawn from Dir(1 + counts), float64[samples].
 

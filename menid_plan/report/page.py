@@ -14,8 +14,6 @@ from menid_plan.learning.clock import clock_text
 from menid_plan.report.figures import Group, Look, executions_figure, groups_of, reward_figure
 from menid_plan.report.run import RunReport, setting_rows
 
-# Below the one and above the other, that an environment shares the target's distribution is decided.
-_SURE = 0.05
 _NONE = "\N{EN DASH}"
 # Runs of one look that are all named.
 _NAMED = 6
@@ -46,9 +44,7 @@ def page(runs: Sequence[RunReport]) -> str:
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
     )  # fmt: skip
-    environment.filters.update(
-        number=_number, chance=_chance, percent=_percent, clock=clock_text, verdict=_verdict
-    )
+    environment.filters.update(number=_number, chance=_chance, percent=_percent, clock=clock_text)
     names, groups = _names(runs), groups_of(runs)
     summaries = [_summary(run) for run in runs]
     return environment.get_template("page.html").render(
@@ -147,9 +143,3 @@ def _chance(value: float | None) -> str:
 
 def _percent(value: float) -> str:
     return f"{100 * value:.4g}"
-
-
-def _verdict(same: float) -> str:
-    if same < _SURE:
-        return "differs"
-    return "the same" if same > 1 - _SURE else "not sure"

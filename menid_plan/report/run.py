@@ -17,8 +17,8 @@ from menid_plan.experience.record import DistributionKey
 from menid_plan.experience.store import Store
 from menid_plan.grounding.semantics import Semantics
 from menid_plan.grounding.state import State
-from menid_plan.learning.confidence import delta
-from menid_plan.learning.counts import Evidence, agreement
+from menid_plan.learning.confidence import delta, gap_by_chance
+from menid_plan.learning.counts import Evidence
 from menid_plan.learning.curve import Point, read_curve
 from menid_plan.learning.events import told_events
 from menid_plan.learning.run import CURVE, EVENTS, STORE, RunError
@@ -82,7 +82,7 @@ class Distribution:
 class Gap:
     """How far a test is from the target: the outcome whose relative frequencies differ most.
 
-    ``same`` is how probable it is that both share one distribution; see `agreement`.
+    ``chance`` is how often they differ as much if both have one distribution; see `gap_by_chance`.
     """
 
     key: DistributionKey
@@ -92,7 +92,7 @@ class Gap:
     in_test: float
     target_total: float
     test_total: float
-    same: float
+    chance: float
 
     @property
     def size(self) -> float:
@@ -334,7 +334,7 @@ def _gaps(evidence: Evidence, keys: list[DistributionKey]) -> Iterator[Gap]:
                 widest = int(np.abs(here - there).argmax())
                 yield Gap(
                     key, test, names[widest], float(here[widest]), float(there[widest]),
-                    float(counts[0].sum()), float(seen.sum()), agreement(counts[0], seen),
+                    float(counts[0].sum()), float(seen.sum()), gap_by_chance(counts[0], seen),
                 )  # fmt: skip
 
 
