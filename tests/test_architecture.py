@@ -81,7 +81,6 @@ ALLOWED = {
         "charts",
         "errors",
         "model",
-        "language",
         "grounding",
         "mdp",
         "solving",

@@ -21,6 +21,7 @@ from menid_plan.learning.confidence import (
     Method,
     delta,
     drawn_errors,
+    gap_by_chance,
     mode,
     rank,
     thompson_delta,
@@ -270,6 +271,32 @@ def test_other_bad_input() -> None:
         delta([1, 2], 0.1, "guess")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="at least 1"):
         delta([1, 2], 0.1, "monte-carlo", samples=0)
+
+
+# ---------------------------------------------------------------------------------- gaps and chance
+
+
+def test_gaps_by_chance() -> None:
+    # One execution in the target, unlike all forty in the test: it is the odd one in a 41st of cases.
+    assert gap_by_chance([0, 1], [40, 0]) == pytest.approx(1 / 41, abs=5e-3)
+    assert gap_by_chance([5, 5], [50, 50]) == 1.0
+    assert gap_by_chance([90, 10], [100, 900]) < 1e-3
+    assert gap_by_chance([4e11, 4e11], [4e11, 1e10]) < 1e-3
+    assert gap_by_chance([0.3, 0], [10, 2]) == 1.0
+
+
+def test_chance_keeps_its_promise() -> None:
+    rng = np.random.default_rng(1)
+    found = np.array(
+        [
+            gap_by_chance(
+                rng.multinomial(30, [0.6, 0.3, 0.1]), rng.multinomial(80, [0.6, 0.3, 0.1]), 500
+            )
+            for _ in range(400)
+        ]
+    )
+    for p in (0.05, 0.2, 0.5):  # so often at most is it so small; 3 standard errors
+        assert np.mean(found <= p) <= p + 3 * np.sqrt(p * (1 - p) / 400)
 
 
 # ---------------------------------------------------------------------------- Thompson's sample size

@@ -387,6 +387,26 @@ def test_log_gamma_is_the_same_for_few_and_many() -> None:
     assert_allclose(log_gamma(values), np.array([math.lgamma(v) for v in values]), rtol=1e-12)
 
 
+# ---------------------------------------------------------------------------------------- intervals
+
+
+@pytest.mark.parametrize("parameters", [[1.0, 1.0], [1.0, 8.0], [92.0, 11.0], [3.0, 5.0, 1.0, 1.0]])
+def test_intervals_are_the_shortest_that_hold_enough(parameters: list[float]) -> None:
+    belief = DirichletMixture(np.ones(1), np.array([parameters]))
+    drawn = np.sort(belief.sample(np.random.default_rng(0), 200_000), axis=0)
+    for (low, high), draws in zip(belief.intervals(0.9), drawn.T, strict=True):
+        assert np.mean((low <= draws) & (draws <= high)) == pytest.approx(0.9, abs=4e-3)
+        widths = draws[180_000:] - draws[:20_000]
+        assert high - low == pytest.approx(widths.min(), abs=4e-3)
+
+
+def test_the_interval_of_a_mixture() -> None:
+    belief = DirichletMixture(np.array([0.3, 0.7]), np.array([[80.0, 20.0], [2.0, 9.0]]))
+    drawn = belief.sample(np.random.default_rng(0), 200_000)[:, 0]
+    low, high = belief.intervals(0.95)[0]
+    assert np.mean((low <= drawn) & (drawn <= high)) == pytest.approx(0.95, abs=4e-3)
+
+
 # ----------------------------------------------------------------------------------- names, mistakes
 
 

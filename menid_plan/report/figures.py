@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from menid_plan.charts import svg
-from menid_plan.language.write import write
 from menid_plan.learning.curve import time_unit
 from menid_plan.mdp.model import Floats
 from menid_plan.report.run import RunReport
@@ -70,13 +69,12 @@ class Group:
 
 def groups_of(runs: Sequence[RunReport]) -> tuple[Group, ...]:
     """Runs that differ in their seed alone, together; those without a curve are left out."""
-    found: dict[str, list[RunReport]] = {}
+    found: dict[Any, list[RunReport]] = {}
     for run in runs:
         if run.points:
             learn = {key: value for key, value in run.settings["learn"].items() if key != "seed"}
             settings = json.dumps({**run.settings, "learn": learn}, sort_keys=True)
-            key = "\n".join((settings, write(run.domain), write(run.problem)))
-            found.setdefault(key, []).append(run)
+            found.setdefault((settings, run.domain, run.problem), []).append(run)
     return tuple(Group(tuple(each), Look.of(n)) for n, each in enumerate(found.values()))
 
 
@@ -122,6 +120,7 @@ def executions_figure(run: RunReport, name: str) -> str:
             panel.step(times, course, where="post", linewidth=1.5, **Look.of(number).options)
         if far:
             panel.set_yscale("log")
+            panel.yaxis.set_major_formatter("{x:g}")
             panel.set_ylabel("executions (logarithmic)")
 
     return _coloured(svg(_SIZE, draw, name))

@@ -64,7 +64,7 @@ def page(runs: Sequence[RunReport]) -> str:
             for run in runs
         ],
         domains=list(dict.fromkeys((run.domain.name, run.problem.name) for run in runs)),
-        alike=len({str((run.domain, run.problem)) for run in runs}) == 1,
+        alike=len({(run.domain, run.problem) for run in runs}) == 1,
         summaries=summaries,
         measures=list(dict.fromkeys(name for each in summaries for name in each)),
         settings=_settings(runs),

@@ -14,6 +14,7 @@ import numpy as np
 from menid_plan.errors import MenidError
 from menid_plan.experience.reading import StoreReader
 from menid_plan.experience.record import DistributionKey
+from menid_plan.experience.sameness import without_comments
 from menid_plan.experience.store import Store
 from menid_plan.grounding.semantics import Semantics
 from menid_plan.grounding.state import State
@@ -104,9 +105,10 @@ class Gap:
 class RunReport:
     """A learning run as its folder tells it.
 
-    ``end`` says how it ended, ``notes`` what is missing. ``points`` are those of its curve, ``places``
-    its environments, the target first. ``unseen`` are rules of which there is no count. ``film`` is the
-    GIF file in the folder, if there is one.
+    ``domain`` and ``problem`` are those with which it began, less their comments. ``end`` says how it
+    ended, ``notes`` what is missing. ``points`` are those of its curve, ``places`` its environments,
+    the target first. ``unseen`` are rules of which there is no count. ``film`` is the GIF file in the
+    folder, if there is one.
     """
 
     folder: Path
@@ -184,8 +186,8 @@ def read_run(folder: Path) -> RunReport:
     seen = [key for key in evidence.keys if evidence.counts(key).any()]
     known = {(key.action, key.rule) for key in seen}
     return RunReport(
-        folder, evidence.domain, problem, created, settings, _versions(events), _end(events),
-        tuple(notes), points, places, places[0].executions, successes,
+        folder, without_comments(evidence.domain), without_comments(problem), created, settings,
+        _versions(events), _end(events), tuple(notes), points, places, places[0].executions, successes,
         tuple(_learned(evidence, key, learn) for key in seen),
         tuple(
             f"{action.name}.{rule.name}"
