@@ -293,6 +293,8 @@ def test_runs_are_compared(levers: Menid) -> None:
         assert float(facts["accumulated reward"]) == float(last["reward"])
         assert facts["tests"] == last["tests"]
     assert [row[head.index("seed")] for row in rows] == ["3", "4", "3"]
+    assert [row[head.index("test time")] for row in rows] == ["4 s", "4 s", "0 s"]
+    assert "estimator" not in head  # it is the same in all
     # The two with the same settings share a line.
     assert "out, other" in page.text
     assert page.text.count("Of runs that differ in their seed alone") == 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from menid_plan import __version__, charts
@@ -66,7 +66,7 @@ def page(runs: Sequence[RunReport]) -> str:
         domains=list(dict.fromkeys((run.domain.name, run.problem.name) for run in runs)),
         alike=len({(run.domain, run.problem) for run in runs}) == 1,
         summaries=summaries,
-        measures=list(dict.fromkeys(name for each in summaries for name in each)),
+        measures=_measures(summaries),
         settings=_settings(runs),
         version=__version__,
         isnan=math.isnan,
@@ -122,6 +122,14 @@ def _summary(run: RunReport) -> dict[str, str]:
 
 def _count(value: int | None) -> str:
     return _NONE if value is None else str(value)
+
+
+def _measures(summaries: Sequence[Mapping[str, str]]) -> list[str]:
+    """The names of what is told of each run; of several, less settings that are the same in all."""
+    names = dict.fromkeys(name for each in summaries for name in each)
+    settings = [name for name in ("solver", "estimator", "test time") if len(summaries) > 1]
+    shared = {name for name in settings if len({each[name] for each in summaries}) == 1}
+    return [name for name in names if name not in shared]
 
 
 def _settings(runs: Sequence[RunReport]) -> tuple[dict[str, str], dict[str, list[str]]]:
