@@ -69,7 +69,6 @@ def page(runs: Sequence[RunReport]) -> str:
         measures=_measures(summaries),
         settings=_settings(runs),
         version=__version__,
-        isnan=math.isnan,
     )
 
 
