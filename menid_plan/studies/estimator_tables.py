@@ -94,7 +94,7 @@ def _of_rewards(title: str, shown: Sequence[Rewards]) -> Table:
         if name != BASE:
             cells = tuple(_interval(each.more[name], sign="+") for each in shown)
             rows.append((name, cells))
-    head = f"{title}: reward of {BASE}, and how much more others have"
+    head = f"{title}: {BASE}'s reward, others' lead"
     return Table(head, "tests", tuple(each.tests for each in shown), tuple(rows))
 
 

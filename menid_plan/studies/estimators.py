@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -145,6 +146,7 @@ class EstimatorStudy:
             **{name: task.run for name, task in rewards.items()},
         }
         found = done(work, file, self.origin(), jobs, told, lambda name: forget(folder, name))
+        shutil.rmtree(folder, ignore_errors=True)
         return Found(
             tuple(_random_errors(task, found[name]) for name, task in errors.items())
             + tuple(e for name in pairs for e in _of_classes(found[name])),
