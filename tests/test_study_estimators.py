@@ -39,8 +39,8 @@ from menid_plan.studies.random_rules import (
     RewardTask,
     drawn_errors,
     moved,
+    root_mean_squares,
     squared_errors,
-    told,
 )
 
 Menid = Callable[..., Result]
@@ -146,14 +146,14 @@ def test_errors_by_hand() -> None:
 
 def test_root_mean_squares_and_their_intervals() -> None:
     columns = 1 + len(CANDIDATES)
-    found = told(np.array([[[4.0] * columns], [[16.0] * columns]]))
+    found = root_mean_squares(np.array([[[4.0] * columns], [[16.0] * columns]]))
     assert set(found["errors"]) == {TARGET_ONLY, *CANDIDATES}
     assert found["errors"]["robust"] == [pytest.approx(math.sqrt(10.0))]
     # The mean of the squares has the standard error 6 / sqrt(2); its root, by the chain rule, half of
     # that over the root.
     wanted = 1.96 * 6.0 / math.sqrt(2.0) / (2.0 * math.sqrt(10.0))
     assert found["halves"]["robust"] == [pytest.approx(wanted)]
-    nothing = told(np.zeros((3, 1, columns)))
+    nothing = root_mean_squares(np.zeros((3, 1, columns)))
     assert nothing["errors"]["robust"] == nothing["halves"]["robust"] == [0.0]
 
 

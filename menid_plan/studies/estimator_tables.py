@@ -146,8 +146,13 @@ _LINES = {
     "precision-grid": ("#cc79a7", "-", "X"),
     SubsetMixture.name: ("#777777", "-", "P"),
 }
-# Lines with their names beside them, behind the point with this number.
-_LABELLED = {TARGET_ONLY: 0, BASE: 5}
+# Where two lines have their names, by the gaps: the number of a point, and so many points above it.
+_NAMED = {
+    (0.0,): {TARGET_ONLY: (1, 5), BASE: (1, -10)},
+    (0.1,): {TARGET_ONLY: (1, 5), BASE: (1, -12)},
+    (0.3,): {TARGET_ONLY: (0, -24), BASE: (4, 5)},
+    (0.0, 0.3): {TARGET_ONLY: (1, 5), BASE: (4, 5)},
+}
 
 
 def errors_png(found: Found, dpi: int = 200) -> bytes:
@@ -170,9 +175,10 @@ def errors_png(found: Found, dpi: int = 200) -> bytes:
                     range(len(values)), values, style, marker=marker, color=colour, markersize=3.0,
                     linewidth=1.1, label=name,
                 )  # fmt: skip
-                if name in _LABELLED:
+                if name in _NAMED[gaps]:
+                    at, above = _NAMED[gaps][name]
                     panel.annotate(
-                        name, (_LABELLED[name], values[_LABELLED[name]]), (4, 4), color=colour,
+                        name, (at, values[at]), (0, above), color=colour,
                         textcoords="offset points", fontsize=7.5,
                     )  # fmt: skip
             panel.set_yscale("log")
@@ -194,7 +200,8 @@ def errors_png(found: Found, dpi: int = 200) -> bytes:
 def rewards_png(found: Found, actions: str, dpi: int = 200) -> bytes:
     """How much more reward each estimator earns than decreasing-m: a panel for each kind of tests.
 
-    ``actions`` are random or the hard drive's; the smallest and the largest penalty are shown.
+    ``actions`` are random or the hard drive's. The smallest and the largest penalty are shown, and all
+    estimators that use tests.
     MissingDependencyError without Matplotlib.
     """
     of_kind = [each for each in found.rewards if each.actions == actions]
@@ -202,8 +209,8 @@ def rewards_png(found: Found, actions: str, dpi: int = 200) -> bytes:
     tests = list(dict.fromkeys(each.tests for each in of_kind))
     penalties = sorted({each.penalty for each in of_kind})
     ends = dict(zip(penalties[:1] + penalties[1:][-1:], _TWO, strict=False))
+    # Without tests so much is lost that the others could not be told apart.
     names = [name for name in CANDIDATES if name not in (BASE, Empirical.name)]
-    names.append(Empirical.name)
 
     def draw(figure: Any) -> None:
         panels = figure.subplots(1, len(tests), sharey=True, squeeze=False)[0]
@@ -224,10 +231,7 @@ def rewards_png(found: Found, actions: str, dpi: int = 200) -> bytes:
             panel.axvline(0.0, color="#d55e00", linewidth=0.8)
             panel.set_title(kind)
             panel.grid(visible=True, linewidth=0.4, alpha=0.5)
-        panels[0].set_yticks(
-            range(len(names)),
-            [f"{n} (no tests)" if n == Empirical.name else n for n in names],
-        )
+        panels[0].set_yticks(range(len(names)), names)
         panels[0].invert_yaxis()
         figure.supxlabel(f"reward after {end:g} minutes, less that of {BASE}", fontsize=8)
         handles, labels = panels[0].get_legend_handles_labels()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -36,7 +37,7 @@ from menid_plan.studies.random_rules import (
     ErrorTask,
     RewardTask,
     drawn_errors,
-    told,
+    root_mean_squares,
 )
 from menid_plan.studies.runs import Wanted, forget, piece, result
 
@@ -128,6 +129,11 @@ class EstimatorStudy:
         """When the reward on the hard drive is looked at: after ten minutes, and at the end."""
         return tuple(sorted({min(10.0, 60.0 * self.hours), 60.0 * self.hours}))
 
+    @property
+    def repeated(self) -> int:
+        """How many times counts are drawn from each of the hard drive's distributions."""
+        return math.ceil(self.repetitions / 100)
+
     def execute(
         self, file: Path, jobs: int, told: Callable[[int, int], None] = lambda *_: None
     ) -> Found:
@@ -136,7 +142,7 @@ class EstimatorStudy:
         errors = {task.name: task for task in self._error_tasks()}
         rewards = {task.name: task for task in self._reward_tasks()}
         drive = {wanted.name: wanted for wanted in self._wanted()}
-        pairs = {_pair_name(*pair, self.repetitions): pair for pair in self._pairs()}
+        pairs = {_pair_name(*pair, self.repeated): pair for pair in self._pairs()}
         grid = 60.0 * np.array(self.minutes)
         # The longest come first, so that no process is left alone with one in the end.
         work: dict[str, Callable[[], Row]] = {
@@ -236,15 +242,18 @@ class EstimatorStudy:
         # Shares of a hundred executions: what is meant to be a bound shall not be missed by rounding.
         classes = np.searchsorted(np.array(CLASSES) + 1e-9, gaps)
         seed = seed_of(self.seed, "drive errors", *pair, n2)
-        repetitions = max(2, self.repetitions // 100)
         truths = list(frequencies.values())
-        squares = drawn_errors(truths, n2, DRIVE_EXECUTED, repetitions, seed)
+        squares = drawn_errors(truths, n2, DRIVE_EXECUTED, self.repeated, seed)
         found = []
         for number, (low, high) in enumerate(zip((0.0, *CLASSES), CLASSES, strict=False)):
             here = [each for each, c in zip(squares, classes, strict=True) if c == number]
             if here:
                 found.append(
-                    {"gap": f"{low:g}-{high:g}", "number": len(here), **told(np.concatenate(here))}
+                    {
+                        "gap": f"{low:g}-{high:g}",
+                        "number": len(here),
+                        **root_mean_squares(np.concatenate(here)),
+                    }
                 )
         return {"tests": pair_text(pair), "n2": n2, "classes": found}
 
@@ -354,8 +363,8 @@ def _run_name(environments: Sequence[str], hours: float, name: str, number: int)
     return f"drive-{'-'.join(environments)}-{hours:g}-{called}-{number}"
 
 
-def _pair_name(environments: Sequence[str], n2: int, repetitions: int) -> str:
-    return f"drive errors: {pair_text(environments)}, N2 {n2}, {repetitions // 100} times"
+def _pair_name(environments: Sequence[str], n2: int, repeated: int) -> str:
+    return f"drive errors: {pair_text(environments)}, N2 {n2}, {repeated} times"
 
 
 def gap_text(gaps: Sequence[float]) -> str:

@@ -62,7 +62,7 @@ def squared_errors(table: Floats, truth: Floats) -> Floats:
     return squares
 
 
-def told(squares: Floats) -> Row:
+def root_mean_squares(squares: Floats) -> Row:
     """Root mean squares, and half of their 95 % intervals.
 
     ``squares`` are squared errors, float64[n, sizes, 1 + candidates].
@@ -100,7 +100,7 @@ class ErrorTask:
         )
 
     def run(self) -> Row:
-        """The errors of all estimators; see `told`."""
+        """The errors of all estimators; see `root_mean_squares`."""
         rng = np.random.default_rng(seed_of(self.seed, self.name))
         truths = rng.dirichlet([2.0] * self.outcomes, self.repetitions)
         tests = [rng.multinomial(self.n2, moved(truths, gap, rng)) for gap in self.gaps]
@@ -113,7 +113,7 @@ class ErrorTask:
             ]
             for i, truth in enumerate(truths)
         ]
-        return told(np.array(squares))
+        return root_mean_squares(np.array(squares))
 
 
 @cache
