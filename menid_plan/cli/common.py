@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar
@@ -165,6 +165,28 @@ def table(console: Console, gap: int = 1) -> Table:
 
     style = box.SIMPLE_HEAD if console.is_terminal else None
     return Table(box=style, padding=(0, gap, 0, 0), pad_edge=False)
+
+
+def print_table(
+    head: str,
+    columns: Sequence[str],
+    rows: Iterable[tuple[str, Sequence[str]]],
+    first: int = 0,
+    others: int = 0,
+    gap: int = 2,
+) -> None:
+    """Print rows of texts, each with its name; ``first`` and ``others`` are least widths."""
+    from rich.console import Console
+
+    console = Console(file=sys.stdout, highlight=False, markup=False)
+    shown = table(console, gap)
+    shown.add_column(head, no_wrap=True, min_width=first)
+    for name in columns:
+        shown.add_column(name, justify="right", no_wrap=True, min_width=others)
+    for name, cells in rows:
+        shown.add_row(name, *cells)
+    with print_plain(console, sys.stdout):
+        console.print(shown)
 
 
 @contextmanager

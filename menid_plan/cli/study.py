@@ -8,6 +8,7 @@ from menid_plan.cli.groups import LazyGroup
 
 _STUDIES = {
     "delta": "The delta bound and the true error as the sample grows.",
+    "estimators": "Error of every estimator, and reward by it: whom to believe.",
     "learning": "Reward with simulations and without, as in the paper's experiments.",
     "mesh": "What the quality of meshes does to times and outcomes in the hard-drive scenes.",
 }

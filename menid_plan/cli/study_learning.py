@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +15,7 @@ from menid_plan.cli.common import (
     existing_file,
     json_option,
     load_both,
-    print_plain,
-    table,
+    print_table,
 )
 from menid_plan.cli.tasks import tell_written
 from menid_plan.files import replace_file
@@ -104,7 +102,7 @@ def command(
     study = LearningStudy(
         domain, problem, Path(bank or drive / "bank.sqlite"),
         read_run_file(drive / "robot.toml") if live else None,
-        studies[target], _penalties(penalties), **options,
+        studies[target], penalties_of(penalties), **options,
     )  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)
     runs = folder / "learning-runs.jsonl"
@@ -129,7 +127,8 @@ def command(
     tell_written(written, err=False)
 
 
-def _penalties(text: str) -> tuple[float, ...]:
+def penalties_of(text: str) -> tuple[float, ...]:
+    """What --penalties lists; click.UsageError if that makes no sense."""
     try:
         found = tuple(dict.fromkeys(float(each) for each in text.split(",")))
     except ValueError:
@@ -155,17 +154,11 @@ def _show(study: LearningStudy, panels: Sequence[Panel]) -> None:
 
 
 def _print(head: str, columns: Mapping[str, Mapping[str, Interval]]) -> None:
-    from rich.console import Console
-
-    console = Console(file=sys.stdout, highlight=False, markup=False)
-    shown = table(console, gap=2)
-    shown.add_column(head, no_wrap=True, min_width=22)
-    for name in columns:
-        shown.add_column(name, justify="right", no_wrap=True, min_width=16)
-    for key in next(iter(columns.values())):
-        shown.add_row(key, *(_text(found[key]) for found in columns.values()))
-    with print_plain(console, sys.stdout):
-        console.print(shown)
+    rows = (
+        (key, [_text(found[key]) for found in columns.values()])
+        for key in next(iter(columns.values()))
+    )
+    print_table(head, list(columns), rows, first=22, others=16)
 
 
 def _text(found: Interval) -> str:

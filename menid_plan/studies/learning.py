@@ -222,19 +222,7 @@ class LearningStudy:
             }
             live = replace(self.live, environments=tables)
             return live.bind(self.domain, self.problem, params)
-        store = Recorded(str(self.bank.absolute()))
-        declared = tuple(
-            replace(e, role="target" if e.name == target else "test")
-            for e in self.domain.all_environments
-        )
-        domain = replace(self.domain, environments=declared)
-        specs = tuple(
-            EnvironmentSpec(
-                name, store, domain, self.problem, "test" if i else "target", dict(params)
-            )
-            for i, name in enumerate(names)
-        )
-        return Bound(domain, self.problem, specs[0], specs[1:])
+        return recorded(self.domain, self.problem, self.bank, names, params)
 
     def _panel(self, study: Name, penalty: float, found: Mapping[str, Result]) -> Panel:
         curves = []
@@ -275,11 +263,11 @@ class LearningStudy:
                     "target": SETTINGS[panel.study].target,
                     "penalty": panel.penalty,
                     "learners": {
-                        name: {key: _told(Interval.of(values)) for key, values in found.items()}
+                        name: {key: interval_json(Interval.of(values)) for key, values in found.items()}
                         for name, found in panel.measures(self.hours).items()
                     },
                     "differences": {
-                        name: {key: _told(value) for key, value in found.items()}
+                        name: {key: interval_json(value) for key, value in found.items()}
                         for name, found in panel.differences(self.hours).items()
                     },
                 }
@@ -312,6 +300,22 @@ class LearningStudy:
         return chart((3.6, 2.8), draw, dpi)
 
 
+def recorded(
+    domain: Domain, problem: Problem, bank: Path, names: Sequence[str], params: Mapping[str, float]
+) -> Bound:
+    """Environments for which a bank stands, the target first, then the tests."""
+    store = Recorded(str(bank.absolute()))
+    declared = tuple(
+        replace(e, role="target" if e.name == names[0] else "test") for e in domain.all_environments
+    )
+    domain = replace(domain, environments=declared)
+    specs = tuple(
+        EnvironmentSpec(name, store, domain, problem, "test" if i else "target", dict(params))
+        for i, name in enumerate(names)
+    )
+    return Bound(domain, problem, specs[0], specs[1:])
+
+
 def _run_name(study: Name, penalty: float, learner: Learner, number: int) -> str:
     return f"{study}-{penalty:g}-{learner.name.replace(' ', '-')}-{number}"
 
@@ -324,6 +328,7 @@ def _deviation(reward: Floats) -> Floats:
     return found
 
 
-def _told(found: Interval) -> dict[str, float | None]:
+def interval_json(found: Interval) -> dict[str, float | None]:
+    """A mean, and half the width of its interval: null for a single value."""
     half = None if math.isnan(found.half) else round(found.half, 6)
     return {"mean": round(found.mean, 6), "half_width_95": half}

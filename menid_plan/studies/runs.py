@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
-import json
-import multiprocessing
 import shutil
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from menid_plan.environments.runfile import Bound, WorkersTable
-from menid_plan.errors import MenidError
-from menid_plan.experience.files import lock
 from menid_plan.learning.curve import Point
 from menid_plan.learning.mixtures import Floats
 from menid_plan.learning.run import Run
 from menid_plan.learning.settings import LearnSettings
-
-
-class RunsError(MenidError):
-    """A file of runs that can't be gone on with; the message says why."""
-
-    exit_code = 3
+from menid_plan.studies.pieces import Row, RunsError, done
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +33,8 @@ class Result:
     """What came of a run.
 
     ``reward`` (one for each time of the grid) is accumulated in the target by then, ``executions`` in
-    each environment, ``steps`` in the target, and ``successes`` how many episodes ended at the goal.
+    each environment, ``steps`` in the target, ``successes`` how many episodes ended at the goal, and
+    ``executed`` (one for each time) the steps by then.
     """
 
     name: str
@@ -52,6 +43,7 @@ class Result:
     steps: int
     episodes: int
     successes: int
+    executed: tuple[float, ...] = ()
 
 
 def executed(
@@ -64,55 +56,41 @@ def executed(
 ) -> dict[str, Result]:
     """What comes of all runs, by their names; ``grid`` (float64[n]) are times in seconds.
 
-    ``file`` has a line for each that has ended, and ``origin`` is what it must be of: what is there is
-    not run again. A run that was interrupted is gone on with, in a folder beside the file. ``told`` is
-    called with the number of runs that have ended, and of all. Raises RunsError for a file of another
-    origin, and whatever a run raises.
+    See `pieces.done`. A run that was interrupted is gone on with, in a folder beside the file.
     """
-    with lock(file):
-        found = _read(file, origin)
-        missing = [each for each in wanted if each.name not in found]
-        done = len(wanted) - len(missing)
-        told(done, len(wanted))
-        if missing:
-            folder = file.with_suffix("")
-            for each, result in _results(missing, grid, folder, jobs):
-                found[each.name] = result
-                with file.open("a", encoding="utf-8") as stream:
-                    stream.write(json.dumps({"origin": origin, **asdict(result)}) + "\n")
-                shutil.rmtree(folder / each.name, ignore_errors=True)
-                done += 1
-                told(done, len(wanted))
-            shutil.rmtree(folder, ignore_errors=True)
-    return {each.name: found[each.name] for each in wanted}
+    folder = file.with_suffix("")
+    work = {each.name: partial(piece, each, grid, folder) for each in wanted}
+    found = done(work, file, origin, jobs, told, lambda name: forget(folder, name))
+    shutil.rmtree(folder, ignore_errors=True)
+    try:
+        return {name: result(row) for name, row in found.items()}
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunsError(f"{file}: there is no run of a study in one of its lines") from error
 
 
-def _results(
-    missing: Sequence[Wanted], grid: Floats, folder: Path, jobs: int
-) -> Iterable[tuple[Wanted, Result]]:
-    if jobs == 1:
-        for each in missing:
-            yield each, run(each, grid, folder / each.name)
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, context) as pool:
-        futures = {pool.submit(run, each, grid, folder / each.name): each for each in missing}
-        try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in multiprocessing.active_children():
-                process.kill()  # what it was at is gone on with the next time
-            raise
+def piece(wanted: Wanted, grid: Floats, folder: Path) -> Row:
+    """One run as a piece of a study, with a folder of its own in ``folder``."""
+    return asdict(run(wanted, grid, folder / wanted.name))
+
+
+def result(row: Row) -> Result:
+    """What a piece tells of a run; KeyError, TypeError, ValueError if it is of something else."""
+    reward, executed = (tuple(map(float, row[key])) for key in ("reward", "executed"))
+    return Result(**{**row, "reward": reward, "executed": executed})
+
+
+def forget(folder: Path, name: str) -> None:
+    """Remove the folder of a run that was kept."""
+    shutil.rmtree(folder / name, ignore_errors=True)
 
 
 def run(wanted: Wanted, grid: Floats, folder: Path) -> Result:
     """One run, in a folder in which it may have been interrupted before."""
-    reward = np.zeros(len(grid))
+    reward, steps = np.zeros((2, len(grid)))
 
     def point(now: Point) -> None:
-        reward[np.searchsorted(grid, now.seconds) :] = now.reward
+        since = np.searchsorted(grid, now.seconds)
+        reward[since:], steps[since:] = now.reward, now.steps
 
     learning = Run(
         folder, wanted.bound, wanted.settings, WorkersTable(0), params=wanted.params,
@@ -121,31 +99,5 @@ def run(wanted: Wanted, grid: Floats, folder: Path) -> Result:
     progress = learning.learn()
     return Result(
         wanted.name, tuple(reward.tolist()), dict(progress.executions), progress.steps,
-        progress.episodes, progress.successes,
+        progress.episodes, progress.successes, tuple(steps.tolist()),
     )  # fmt: skip
-
-
-def _read(file: Path, origin: str) -> dict[str, Result]:
-    """The results in a file; the line that a kill has cut is dropped."""
-    if not file.exists():
-        return {}
-    data = file.read_bytes()
-    whole = data[: data.rfind(b"\n") + 1]
-    if whole != data:
-        with file.open("r+b") as stream:
-            stream.truncate(len(whole))
-    found = {}
-    for number, line in enumerate(whole.splitlines(), start=1):
-        try:
-            row: dict[str, Any] = json.loads(line)
-            there = row.pop("origin")
-            result = Result(**{**row, "reward": tuple(map(float, row["reward"]))})
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise RunsError(f"{file}, line {number}: it is no run of a study") from error
-        if there != origin:
-            raise RunsError(
-                f"{file} has runs with other settings or experiences: choose another folder, or move "
-                "the file away"
-            )
-        found[result.name] = result
-    return found
