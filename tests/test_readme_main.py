@@ -53,4 +53,4 @@ def test_the_first_command(menid: Callable[..., Result], tmp_path: Path) -> None
     assert "(probabilistic" in Path("run/ppddl/domain.pddl").read_text()
     assert "(:metric maximize (reward))" in Path("run/ppddl/problem.pddl").read_text()
     assert Path("run/curve.png").read_bytes().startswith(b"\x89PNG")
-    assert Path("run/best.gif").read_bytes().startswith(b"GIF89a")
+    assert Path("run/learned/best.gif").read_bytes().startswith(b"GIF89a")

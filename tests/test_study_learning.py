@@ -25,6 +25,7 @@ from conftest import ROOT
 from menid_plan.environments.runfile import read_run_file
 from menid_plan.experience.store import Store
 from menid_plan.learning.curve import Point
+from menid_plan.learning.run import STORE
 from menid_plan.studies import runs
 from menid_plan.studies.learning import Curve, Interval, LearningStudy, Panel
 from servers import RUN
@@ -144,6 +145,22 @@ def test_an_interrupted_run_is_gone_on_with(
     made.execute(copy, 1)
     assert sorted(copy.read_bytes().splitlines()) == sorted(file.read_bytes().splitlines())
     assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("there", [(), (STORE,)])
+def test_a_run_killed_as_it_began_is_gone_on_with(
+    short: tuple[LearningStudy, Path, list[Panel]], tmp_path: Path, there: tuple[str, ...]
+) -> None:
+    """Of its folder there is nothing in it yet, or a store without a byte."""
+    made, file, _ = short
+    for line in file.read_text().splitlines():
+        folder = tmp_path / "runs" / json.loads(line)["name"]
+        folder.mkdir(parents=True)
+        for name in there:
+            (folder / name).touch()
+    made.execute(tmp_path / "runs.jsonl", 1)
+    both = [sorted(path.read_bytes().splitlines()) for path in (file, tmp_path / "runs.jsonl")]
+    assert both[0] == both[1]
 
 
 def test_in_several_processes(

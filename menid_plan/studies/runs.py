@@ -13,7 +13,7 @@ import numpy as np
 from menid_plan.environments.runfile import Bound, WorkersTable
 from menid_plan.learning.curve import Point
 from menid_plan.learning.mixtures import Floats
-from menid_plan.learning.run import Run
+from menid_plan.learning.run import STORE, Run
 from menid_plan.learning.settings import LearnSettings
 from menid_plan.studies.pieces import Row, RunsError, done
 
@@ -94,7 +94,7 @@ def run(wanted: Wanted, grid: Floats, folder: Path) -> Result:
 
     learning = Run(
         folder, wanted.bound, wanted.settings, WorkersTable(0), params=wanted.params,
-        resume=folder.exists(), watch=point,
+        resume=(folder / STORE).exists(), watch=point,
     )  # fmt: skip
     progress = learning.learn()
     return Result(
