@@ -62,7 +62,9 @@ ALLOWED = {
         "environments",
         "servers",
     },
+    "allocation": {"errors", "grounding", "mdp", "compiled"},
     "learning": {
+        "allocation",
         "charts",
         "source",
         "errors",

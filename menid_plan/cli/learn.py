@@ -50,6 +50,10 @@ _SHOWN = 10
 @click.option("--seed", type=click.IntRange(0), help="Everything random comes from it.")
 @click.option("--test-time", type=click.FloatRange(0), metavar="T",
               help="Seconds for which an action is tested; 0 never tests.")  # fmt: skip
+@click.option(
+    "--allocate", type=click.Choice(["paper", "cheapest-first", "gain", "target-only"]),
+    help="Where to act next; cheapest-first unless it is said.",
+)  # fmt: skip
 @click.option("--estimator", metavar="NAME", help="How counts of several environments are merged.")
 @click.option("--m", type=click.FloatRange(0), help="The weight m of decreasing-m.")
 @click.option("--solver", metavar="NAME", help="What chooses actions; thompson unless it is said.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import math
 from collections import Counter, defaultdict
 from collections.abc import Callable
 from contextlib import closing
@@ -11,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from menid_plan.allocation.decide import Time
 from menid_plan.environments.registry import EnvironmentSpec
 from menid_plan.environments.runfile import Bound
 from menid_plan.environments.seeds import seed_of
@@ -18,6 +20,7 @@ from menid_plan.errors import MenidError
 from menid_plan.experience.attribution import Attributor
 from menid_plan.experience.record import DistributionKey, Experience
 from menid_plan.grounding.state import GroundAction, State
+from menid_plan.learning.allocating import Gain, ToTest
 from menid_plan.learning.clock import Clock
 from menid_plan.learning.confidence import delta
 from menid_plan.learning.counts import Evidence
@@ -101,6 +104,12 @@ class Loop:
         self._episode_step = 0
         self._decisions = 0
         self._idle = 0
+        self._tested = 0.0  # seconds of the clock
+        self._now = 0.0  # the time of the last point, which is the same when a run is resumed
+        self._gain: Gain | None = None
+        if settings.allocate in ("gain", "target-only"):
+            tests = bound.tests if settings.allocate == "gain" else ()
+            self._gain = Gain(planner, evidence, (bound.target, *tests), settings)
 
     # ------------------------------------------------------------------------------ the algorithm
 
@@ -122,6 +131,9 @@ class Loop:
         if self._episode_is_over():
             self._end_episode("an episode is over")
             return
+        if self._gain is not None and self._gain.knows(self.state):
+            self._weigh_up(self._gain)
+            return
         state = self.state  # 3
         action = self._decide(state)  # 4, 5
         if action is None:
@@ -136,6 +148,33 @@ class Loop:
             self.marked.discard(action)  # 16
             self._execute(state, action)  # 17, 18
         self.planner.learned()  # 20
+
+    def _weigh_up(self, gain: Gain) -> None:
+        """One round without the marks and the bounds of Algorithm 1."""
+        left, passed = self._seconds_left(gain), self._now
+        chosen = gain.decide(self.state, self._left, Time(left, passed, self._tested))
+        if chosen is None:
+            self._end_episode("no action applies")
+        elif isinstance(chosen, ToTest):
+            executed = self._test(chosen.spec, chosen.state, chosen.action, chosen.number)
+            if executed < chosen.number:
+                gain.could_not()
+        else:
+            self._execute(self.state, chosen)
+
+    def _seconds_left(self, gain: Gain) -> float:
+        """How long the run will go on, as far as one can tell."""
+        settings, progress = self.settings, self.progress
+        each = gain.execution_seconds()
+        limits = []
+        if settings.hours is not None:
+            limits.append(settings.hours * 3600.0 - self._now)
+        if settings.steps is not None:
+            limits.append((settings.steps - progress.steps) * each)
+        if settings.episodes is not None:
+            steps = max(1.0, progress.steps / max(1, progress.episodes))
+            limits.append((settings.episodes - progress.episodes) * steps * each)
+        return max(0.0, min(limits))
 
     def _decide(self, state: State) -> GroundAction | None:
         if not self.planner.is_asked:
@@ -160,7 +199,7 @@ class Loop:
             certainty = self.planner.certainty(state, self._left, DRAWS)
             if certainty >= 1.0 - settings.epsilon:
                 return ()
-        return tuple(found) if settings.tests == "all" else (found[0],)
+        return tuple(found) if settings.allocate == "paper" else (found[0],)
 
     def _by_cost(self, action: GroundAction) -> list[EnvironmentSpec]:
         """The tests, those of the shortest nominal duration first, those without one last."""
@@ -187,9 +226,16 @@ class Loop:
             self._deltas[spec.name, key] = found
         return found > enough
 
-    def _test(self, spec: EnvironmentSpec, state: State, action: GroundAction) -> None:
-        """Try an action for the time T, in a state like the target's; the target stays as it is."""
-        left = [self.settings.test_time] * self.settings.lanes  # 8: the time left in each lane
+    def _test(
+        self, spec: EnvironmentSpec, state: State, action: GroundAction, number: int | None = None
+    ) -> int:
+        """Try an action in a state of a test; the target stays as it is.
+
+        For the time T, or so many times if a number is given; how often it was executed.
+        """
+        most = MAX_TESTS if number is None else number
+        time = self.settings.test_time if number is None else math.inf
+        left = [time] * self.settings.lanes  # 8: the time left in each lane
         used = [0.0] * self.settings.lanes
         executed = given_up = 0
         key = self.attributor.distribution(state, action)
@@ -208,16 +254,22 @@ class Loop:
                 used[lane] += experience.duration  # 11
                 left[lane] -= experience.duration  # 13
                 self.underway(self._here("test", max(used)))
-                if max(left) <= 0.0 or executed >= MAX_TESTS:  # 9
+                if max(left) <= 0.0 or executed >= most:  # 9
                     break
                 # Where time hardly passes T is no end: there, what is known well is known well.
-                if executed >= look and sum(left) / len(left) > self._tests_left(executed):
+                if (
+                    number is None
+                    and executed >= look
+                    and sum(left) / len(left) > self._tests_left(executed)
+                ):
                     if key is not None and not self._is_unsure(spec, key):
                         break
                     look = executed + max(1, executed // 20)
         self.executions.save()
         self.clock.spend(max(used))
+        self._tested += max(used)
         self._point("test")
+        return executed
 
     def _tests_left(self, executed: int) -> float:
         """The time that is left of T after so many tests if MAX_TESTS of them take all of it."""
@@ -249,11 +301,15 @@ class Loop:
         progress.executions[experience.environment] += 1
         progress.spent[experience.environment] += experience.duration
         self._idle = self._idle + 1 if experience.duration == 0.0 else 0
+        if self._gain is not None:
+            self._gain.took(experience)
         if experience.explanation is None:
             progress.unexplained += 1
             return
         key = experience.explanation.key(experience.action)
         self.evidence.add(experience.environment, key, experience.explanation.weights)
+        if self._gain is not None:
+            self._gain.learned(key, experience, experience.explanation.weights)
         self._deltas.pop((experience.environment, key), None)
 
     # --------------------------------------------------------------------------- episodes, the end
@@ -321,6 +377,7 @@ class Loop:
 
     def _point(self, what: Literal["step", "test"]) -> None:
         self.clock.come_to_point()
+        self._now = self.clock.seconds
         self.watch(self._here(what))
 
     def _here(self, what: Literal["step", "test"], more: float = 0.0) -> Point:

@@ -98,6 +98,15 @@ class Planner:
             return action, solution.value, None
         return action, solution.value, float(chances[number])
 
+    @property
+    def structure(self) -> Structure:
+        """That of the problem itself, from its initial state."""
+        return self._model(frozenset(self.problem.init))[0].structure
+
+    def number(self, state: State) -> int | None:
+        """The number of a state in `structure`; None if it is not there."""
+        return self._model(frozenset(self.problem.init))[0].number(state)
+
     def learned(self) -> None:
         """Beliefs have changed."""
         for model in self._models:

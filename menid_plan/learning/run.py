@@ -116,7 +116,7 @@ class Run:
             self._interrupts = interrupts or Interrupts()
             executions = Executions(
                 bound, settings.seed, attributor, self.evidence, self.store, self.events, workers,
-                tests=settings.test_time > 0.0, interrupts=self._interrupts, reported=reported,
+                tests=settings.tests, interrupts=self._interrupts, reported=reported,
             )  # fmt: skip
             opened.callback(executions.close)
             self.loop = Loop(

@@ -10,8 +10,13 @@ from typing import Literal, TypeAlias
 from menid_plan.environments.settings import SettingError, check_range
 from menid_plan.learning.exact_delta import LEAST_EPSILON
 
-TestPolicy: TypeAlias = Literal["cheapest-first", "all"]
-"""Which of several tests an action is tried in: the cheapest that is not known well, or all such."""
+Allocation: TypeAlias = Literal["cheapest-first", "paper", "gain", "target-only"]
+"""Where to act next.
+
+``paper``: an action is tried for the time T in each test in which it is not known well, then executed
+(Algorithm 1). ``cheapest-first``: of these tests, in the cheapest alone. ``gain``: tests and executions
+are compared by what they bring in by the second. ``target-only``: likewise, without tests.
+"""
 
 StopRule: TypeAlias = Literal["delta", "gap", "best"]
 """When an action needs no more tests.
@@ -31,7 +36,8 @@ class LearnSettings:
 
     ``test_time`` (T) is in seconds of the clock for each tested action, 0 never tests. ``delta`` is
     the threshold of the bound on the error in a test environment, ``epsilon`` the probability that it
-    is exceeded, ``delta_method`` how it is found. ``estimator`` merges the counts, with
+    is exceeded, ``delta_method`` how it is found. ``allocate`` says where to act; with ``gain`` and
+    ``target-only``, T, delta and the solver play no part. ``estimator`` merges the counts, with
     ``estimator_options`` such as m. ``solver`` chooses actions, with ``solver_options``; ``objective``
     says what is best (empty: as the problem has it). ``prior_weight``: how many executions the domain's
     own probabilities are worth. ``attribution``: how outcomes that lead to one state share a count.
@@ -46,7 +52,7 @@ class LearnSettings:
     epsilon: float = 0.05
     delta_method: Literal["exact", "monte-carlo", "bonferroni"] = "exact"
     stop: StopRule = "delta"
-    tests: TestPolicy = "cheapest-first"
+    allocate: Allocation = "cheapest-first"
     estimator: str = "decreasing-m"
     estimator_options: Mapping[str, Option] = field(default_factory=dict)
     prior_weight: float = 0.0
@@ -60,6 +66,13 @@ class LearnSettings:
     steps: int | None = None
     episodes: int | None = None
     hours: float | None = None
+
+    @property
+    def tests(self) -> bool:
+        """Whether there may be tests."""
+        if self.allocate == "gain":
+            return True
+        return self.allocate != "target-only" and self.test_time > 0.0
 
     def __post_init__(self) -> None:
         for key in ("test_time", "delta", "prior_weight", "hours", "steps", "episodes", "seed"):

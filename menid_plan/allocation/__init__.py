@@ -1,0 +1,1 @@
+"""Where to act next: what a test teaches, and what an execution earns and teaches, by the second."""
