@@ -174,7 +174,7 @@ class Decider:
     ) -> None:
         self.model = model
         self.belief = belief
-        self.rule = Rule(belief)
+        self.rule = Rule(belief, rng.random(len(belief.outcomes)))
         self._seconds = seconds
         self._rng = rng
         self._rate = 0.0

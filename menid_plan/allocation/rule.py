@@ -23,6 +23,8 @@ FIRST_TESTS = 10.0
 SHARE = 0.25
 # What an execution earns at least for its time to be worth something: a part of its highest reward.
 LEAST_WORTH = 0.1
+# A difference so small that it only decides where there is no other.
+ALIKE = 1e-6
 # Rows that are looked at, those that matter most.
 MOST_ROWS = 400
 
@@ -63,9 +65,14 @@ class Tests:
 
 @dataclass(slots=True)
 class Rule:
-    """Compares by the second; remembers what it has worked out until the shared weights change."""
+    """Compares by the second; remembers what it has worked out until the shared weights change.
+
+    ``order`` (float64[D], from 0 to 1) decides between distributions that are alike: it is to be
+    random, lest the order of a file helps or harms.
+    """
 
     belief: Belief
+    order: Floats
     _memory: dict[bytes, Floats] = field(default_factory=dict)
 
     def forget(self) -> None:
@@ -99,7 +106,7 @@ class Rule:
                 net = (improved * (used - took) - price * took) / took
             # A test that takes no time is worth all that it teaches.
             net = np.where(took > 0.0, net, np.where(improved > 0.0, np.inf, 0.0))
-            net = np.where(took <= left, net, 0.0)
+            net = np.where(took <= left, net * (1.0 + ALIKE * self.order[of][:, None]), 0.0)
             row, size = np.unravel_index(int(net.argmax()), net.shape)
             if net[row, size] > (best.gain if best else 0.0):
                 # In which state the distribution is tested: where it matters most.
@@ -109,8 +116,8 @@ class Rule:
 
     def bonuses(self, view: View, left: float) -> Floats:
         """What an execution of each distribution teaches is worth: float64[D], in units of reward."""
-        found = np.zeros(len(self.belief.outcomes))
         rows, gains = self._gains(view, np.arange(len(view.distribution)), None)
+        found = np.zeros(len(self.order))
         if len(rows):
             took = view.seconds[rows][:, None] * EXECUTIONS
             # Of what cannot be executed so often any more, one is.
@@ -118,7 +125,7 @@ class Rule:
             total = np.zeros((len(found), len(EXECUTIONS)))
             np.add.at(total, view.distribution[rows], worths)
             found = total.max(axis=1)
-        return found
+        return found + ALIKE * view.most * float(view.seconds.mean()) * self.order
 
     def _gains(self, view: View, rows: Ints, test: int | None) -> tuple[Ints, Floats]:
         """Rows that matter, and what a second is worth more after so many tests (or executions)."""

@@ -7,6 +7,7 @@ import click
 from menid_plan.cli.groups import LazyGroup
 
 _STUDIES = {
+    "allocation": "Where to act: tests and executions weighed up, or as in the paper.",
     "delta": "The delta bound and the true error as the sample grows.",
     "estimators": "Error of every estimator, and reward by it: whom to believe.",
     "learning": "Reward with simulations and without, as in the paper's experiments.",

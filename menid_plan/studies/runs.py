@@ -11,10 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from menid_plan.environments.runfile import Bound, WorkersTable
+from menid_plan.learning.counts import Evidence
 from menid_plan.learning.curve import Point
 from menid_plan.learning.mixtures import Floats
 from menid_plan.learning.run import STORE, Run
 from menid_plan.learning.settings import LearnSettings
+from menid_plan.model.domain import param_values
+from menid_plan.model.expressions import evaluate
 from menid_plan.studies.pieces import Row, RunsError, done
 
 
@@ -34,7 +37,8 @@ class Result:
 
     ``reward`` (one for each time of the grid) is accumulated in the target by then, ``executions`` in
     each environment, ``steps`` in the target, ``successes`` how many episodes ended at the goal, and
-    ``executed`` (one for each time) the steps by then.
+    ``executed`` (one for each time) the steps by then. ``won`` and ``lost`` are how many executions
+    in the target had an outcome that brings in something, or costs something (where failing does).
     """
 
     name: str
@@ -44,6 +48,8 @@ class Result:
     episodes: int
     successes: int
     executed: tuple[float, ...] = ()
+    won: float = 0.0
+    lost: float = 0.0
 
 
 def executed(
@@ -100,4 +106,18 @@ def run(wanted: Wanted, grid: Floats, folder: Path) -> Result:
     return Result(
         wanted.name, tuple(reward.tolist()), dict(progress.executions), progress.steps,
         progress.episodes, progress.successes, tuple(steps.tolist()),
+        *_tally(learning.evidence, wanted.params),
     )  # fmt: skip
+
+
+def _tally(evidence: Evidence, params: Mapping[str, float]) -> tuple[float, float]:
+    """Executions in the target whose outcome pays, and that costs, if each failure costs 1."""
+    costly = {"fail": 1.0} if "fail" in params else {}
+    values = param_values(evidence.domain, None, {**params, **costly})
+    found = [0.0, 0.0]
+    for key in evidence.keys:
+        for outcome, seen in zip(evidence.rule(key).outcomes, evidence.counts(key)[0], strict=True):
+            paid = 0.0 if outcome.reward is None else evaluate(outcome.reward, values)
+            found[0] += float(seen) if paid > 0.0 else 0.0
+            found[1] += float(seen) if paid < 0.0 else 0.0
+    return found[0], found[1]
