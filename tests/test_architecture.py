@@ -93,6 +93,7 @@ ALLOWED = {
         "learning",
     },
     "studies": {
+        "allocation",
         "charts",
         "errors",
         "model",

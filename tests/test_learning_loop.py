@@ -134,7 +134,7 @@ def test_without_test_time_no_test_environment_is_touched(stage: Stage) -> None:
     ("policy", "rounds"),
     [
         ("cheapest-first", "sketch bench sketch bench model bench model bench bench bench"),
-        ("all", "sketch model bench sketch model bench bench bench bench bench"),
+        ("paper", "sketch model bench sketch model bench bench bench bench bench"),
     ],
 )
 def test_several_tests(stage: Stage, policy: Any, rounds: str) -> None:
@@ -146,7 +146,7 @@ def test_several_tests(stage: Stage, policy: Any, rounds: str) -> None:
     durations = {"model": 4.0, "sketch": 3.5}
     environments = bound(stage.kind("sticks"), kinds, durations, ONE_LEVER)
     run_of(
-        stage.folder / "run", environments, steps=6, test_time=10.0, delta=0.5, tests=policy
+        stage.folder / "run", environments, steps=6, test_time=10.0, delta=0.5, allocate=policy
     ).learn()
     names = [line.split()[0] for line in stage.diary]
     found = [name for i, name in enumerate(names) if name == "bench" or name != names[i - 1]]

@@ -164,7 +164,9 @@ class Belief:
             related, unrelated, populations = self._prior_counts()
             ours = posterior[:, self.relations :]
             related += posterior[:, : self.relations].sum(axis=0).reshape(related.shape)
-            unrelated += float(ours[tested].sum())
+            # Part of it is that of taking after a test which has no data.
+            share = found.unrelated / self._unknown(found, self._has[rows])
+            unrelated += float((ours.sum(axis=1) * share)[tested].sum())
             np.add.at(populations, self.groups[rows], ours)
             found = self._maximised((related, unrelated, populations))
         return found
@@ -184,12 +186,28 @@ class Belief:
             populations / np.maximum(populations.sum(axis=1, keepdims=True), 1e-300),
         )  # fmt: skip
 
-    def prior_weights(self, shared: Weights, rows: Ints | None = None) -> Floats:
-        """The weights of components before the target was seen, but for a factor: float64[rows, J]."""
+    def prior_weights(
+        self, shared: Weights, rows: Ints | None = None, known: int | None = None
+    ) -> Floats:
+        """The weights of components before the target was seen: float64[rows, J].
+
+        What takes after a test without data is like any of its population. ``known`` is a test that is
+        to count as one with data.
+        """
         rows = np.arange(len(self.outcomes)) if rows is None else rows
-        found = np.where(self._has[rows], 1.0, 0.0)
+        has = self._has[rows]
+        if known is not None:
+            has[:, RELATIONS * known : RELATIONS * (known + 1)] = True
+        found = np.where(has, 1.0, 0.0)
         found[:, : self.relations] *= shared.related.ravel()
-        found[:, self.relations :] *= shared.unrelated * shared.populations[self.groups[rows]]
+        classes = shared.populations[self.groups[rows]]
+        found[:, self.relations :] *= self._unknown(shared, has)[:, None] * classes
+        return found
+
+    def _unknown(self, shared: Weights, has: Bools) -> Floats:
+        """The weight of taking after no test, or after one without data: float64[rows]."""
+        missing = np.where(has[:, : self.relations], 0.0, shared.related.ravel())
+        found: Floats = shared.unrelated + missing.sum(axis=1)
         return found
 
     def _weights(self, shared: Weights, rows: Ints | None = None) -> Floats:

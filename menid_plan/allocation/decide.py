@@ -30,13 +30,15 @@ class TooLargeError(MenidError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solved:
-    """What is best by some probabilities: reward a second, and arrays as in `rates`.
+    """What is best by some probabilities.
 
-    ``visits`` (float64[n]) is how often a second each state is come to.
+    ``rate`` is the reward a second, ``later`` (float64[n]) what a state is worth after the first step,
+    less the price of the time, ``policy`` (int32[steps, n]) the row to take by the steps that are left,
+    less one, and ``visits`` (float64[n]) how often a second each state is come to.
     """
 
     rate: float
-    value: Floats
+    later: Floats
     policy: SmallInts
     visits: Floats
 
@@ -104,29 +106,18 @@ class Model:
         if bonus is not None:
             reward += bonus[self.distribution]
         probability = chances[self._kind_distribution, self._kind_outcome]
-        moves = (structure.row_transition, structure.next_state, structure.row_rule)
-        visits = np.zeros(structure.states)
-        took = 1.0
-        for _ in range(rates.ROUNDS):
-            rates.best_for_price(
-                structure.state_row, *moves, structure.kind_first, probability, reward, seconds, price,
-                self._value, self._policy,
-            )  # fmt: skip
-            paid, took = rates.earned(
-                *moves, structure.kind_first, probability, reward, seconds, 0, self._policy,
-                self._reached, visits,
-            )  # fmt: skip
-            if took <= 0.0:
-                break
-            rate, price = price, paid / took
-            if abs(price - rate) <= 1e-9 * max(1.0, abs(price)):
-                break
-        return Solved(price, self._value.copy(), self._policy.copy(), visits / max(took, 1e-300))
+        visits = np.empty(structure.states)
+        rate, took = rates.best_rate(
+            structure.state_row, structure.row_transition, structure.next_state, structure.row_rule,
+            structure.kind_first, probability, reward, seconds, 0, price, self._value, self._policy,
+            self._reached, visits,
+        )  # fmt: skip
+        return Solved(rate, self._value[-2].copy(), self._policy.copy(), visits / max(took, 1e-300))
 
     def payoffs(self, solved: Solved, seconds: Floats, width: int) -> Floats:
         """What each outcome of each row brings in, with what follows: float64[rows, width]."""
         found = np.zeros((len(self._flat), width))
-        later = solved.value[-2][self.structure.next_state]
+        later = solved.later[self.structure.next_state]
         found[self._row, self._outcome] = self._pay + later
         found += (self._flat - solved.rate * seconds)[:, None]
         return found

@@ -18,10 +18,7 @@ from menid_plan.compiled import kernel
 ROUNDS = 20
 
 
-@kernel(
-    "void(i8[::1], i4[::1], i4[::1], i4[::1], i8[::1], f8[::1], f8[::1], f8[::1], f8, f8[:, ::1],"
-    " i4[:, ::1])"
-)
+@kernel()
 def best_for_price(
     state_row: Any, row_transition: Any, next_state: Any, row_kind: Any, kind_first: Any,
     kind_probability: Any, row_reward: Any, row_seconds: Any, price: float, value: Any, policy: Any,
@@ -48,10 +45,7 @@ def best_for_price(
             policy[step, state] = chosen
 
 
-@kernel(
-    "UniTuple(f8, 2)(i4[::1], i4[::1], i4[::1], i8[::1], f8[::1], f8[::1], f8[::1], i8,"
-    " i4[:, ::1], f8[:, ::1], f8[::1])"
-)
+@kernel()
 def earned(
     row_transition: Any, next_state: Any, row_kind: Any, kind_first: Any, kind_probability: Any,
     row_reward: Any, row_seconds: Any, initial: int, policy: Any, reached: Any, visits: Any,
@@ -84,3 +78,34 @@ def earned(
                 reached[1 - here, next_state[entry]] += chance * kind_probability[of_kind + entry]
         here = 1 - here
     return reward, seconds
+
+
+@kernel(
+    "UniTuple(f8, 2)(i8[::1], i4[::1], i4[::1], i4[::1], i8[::1], f8[::1], f8[::1], f8[::1], i8, f8,"
+    " f8[:, ::1], i4[:, ::1], f8[:, ::1], f8[::1])"
+)
+def best_rate(
+    state_row: Any, row_transition: Any, next_state: Any, row_kind: Any, kind_first: Any,
+    kind_probability: Any, row_reward: Any, row_seconds: Any, initial: int, price: float,
+    value: Any, policy: Any, reached: Any, visits: Any,
+) -> tuple[float, float]:  # fmt: skip
+    """The highest reward a second, and the seconds that an episode then takes; see above.
+
+    ``price`` is a guess of it. ``visits`` are those of an episode.
+    """
+    seconds = 0.0
+    for _ in range(ROUNDS):
+        best_for_price(
+            state_row, row_transition, next_state, row_kind, kind_first, kind_probability, row_reward,
+            row_seconds, price, value, policy,
+        )  # fmt: skip
+        reward, seconds = earned(
+            row_transition, next_state, row_kind, kind_first, kind_probability, row_reward,
+            row_seconds, initial, policy, reached, visits,
+        )  # fmt: skip
+        if seconds <= 0.0:
+            break
+        last, price = price, reward / seconds
+        if abs(price - last) <= 1e-9 * max(1.0, abs(price)):
+            break
+    return price, seconds

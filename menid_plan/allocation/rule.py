@@ -183,7 +183,7 @@ class Rule:
             return gains
         columns = np.r_[RELATIONS * test : RELATIONS * (test + 1)]
         rest = np.setdiff1d(np.arange(belief.components), columns)
-        weight = belief.prior_weights(belief.shared, of)[:, rest]
+        weight = belief.prior_weights(belief.shared, of, test)[:, rest]
         own = np.tile(belief.shared.related[test], (len(of), 1))
         # Classes of its own for a coin: those of the distribution, seen through the payoffs.
         known = np.stack(

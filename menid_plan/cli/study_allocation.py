@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from menid_plan.cli.common import json_option, print_table
+from menid_plan.cli.common import json_option, load_both, print_table
 from menid_plan.cli.study_learning import penalties_of
 from menid_plan.cli.tasks import tell_written
 from menid_plan.files import replace_file
@@ -59,7 +59,15 @@ def command(folder: Path, penalties: str, jobs: int, as_json: bool, **options: A
     from menid_plan.studies.allocation_tables import curves_png, rewards_csv, tables
 
     charts.require()
-    study = AllocationStudy(shipped("domains"), penalties_of(penalties), **options)
+    domains = shipped("domains")
+    models = {
+        name: load_both([str(domains / place / f"{each}.menid") for each in ("domain", problem)])
+        for name, place, problem in (
+            ("drive", "hdd", "drive"), ("assembly", "assembly", "peg"), ("stones", "stones", "river"),
+        )
+    }  # fmt: skip
+    bank = domains / "hdd" / "bank.sqlite"
+    study = AllocationStudy(models, bank, penalties_of(penalties), **options)
     folder.mkdir(parents=True, exist_ok=True)
     runs = folder / "allocation-runs.jsonl"
 
@@ -87,6 +95,6 @@ def command(folder: Path, penalties: str, jobs: int, as_json: bool, **options: A
         return
     for shown in tables(cases):
         click.echo(shown.title)
-        print_table(shown.head, shown.columns, shown.rows, first=24, gap=1)
+        print_table(shown.head, shown.columns, shown.rows, first=11, gap=1)
         click.echo()
     tell_written([runs, *(folder / name for name in files)], err=False)

@@ -65,6 +65,11 @@ class Case:
     counts: Mapping[str, Floats]
     oracle: Floats
 
+    @property
+    def short(self) -> str:
+        """What it is called where there is little room."""
+        return self.name.removeprefix("drive: ").replace("coarse and fine", "both")
+
     def regret(self, learner: str, minute: float) -> Floats:
         """How much less than the oracle's the reward is by then (float64[runs])."""
         at = self.at(minute)
@@ -83,10 +88,12 @@ class AllocationStudy:
     """The settings; all that is random comes from ``seed``.
 
     ``bandits`` are the runs of each learner with random actions, ``runs`` those on each of the other
-    problems, ``hours`` of the virtual clock. ``domains`` is the folder of the domains.
+    problems, ``hours`` of the virtual clock. ``files`` has domain and problem of the drive, the
+    assembly and the stones, and ``bank`` stands for the environments of the drive.
     """
 
-    domains: Path
+    files: Mapping[str, tuple[Domain, Problem]]
+    bank: Path
     penalties: tuple[float, ...] = (0.0, 5.0, 10.0)
     bandits: int = 300
     runs: int = 30
@@ -115,10 +122,8 @@ class AllocationStudy:
     def origin(self) -> str:
         """A hash of what each piece depends on, but for what its name tells."""
         digest = sha256(repr([self.hours, self.seed]).encode())
-        for name in ("hdd", "assembly", "stones"):
-            for path in sorted((self.domains / name).glob("*.menid")):
-                digest.update(path.read_bytes())
-        digest.update((self.domains / "hdd" / "bank.sqlite").read_bytes())
+        digest.update(repr(self.files).encode())
+        digest.update(self.bank.read_bytes())
         return digest.hexdigest()[:16]
 
     @property
@@ -179,10 +184,10 @@ class AllocationStudy:
         return Wanted(_run_name(name, penalty, learner, number), bound, settings, params)
 
     def _bound(self, name: str, params: Mapping[str, float], number: int) -> Bound:
-        domain, problem = self._files[name.split(":")[0]]
+        domain, problem = self.files[name.split(":")[0]]
         if name.startswith("drive"):
             pair = next(pair for pair in DRIVE if name == f"drive: {pair_text(pair)}")
-            bank = self.domains / "hdd" / "bank.sqlite"
+            bank = self.bank
             found = recorded(domain, problem, bank, pair, params)
             target, *tests = (
                 replace(spec, duration=self._durations[spec.name]) for spec in found.environments
@@ -198,25 +203,10 @@ class AllocationStudy:
         return Bound(domain, problem, target, (test,))
 
     @cached_property
-    def _files(self) -> Mapping[str, tuple[Domain, Problem]]:
-        from menid_plan.language.files import read
-
-        folders = {"drive": ("hdd", "drive"), "assembly": ("assembly", "peg"),
-                   "stones": ("stones", "river")}  # fmt: skip
-        found = {}
-        for name, (folder, problem) in folders.items():
-            domain = read(self.domains / folder / "domain.menid").domain
-            task = read(self.domains / folder / f"{problem}.menid").problem
-            assert domain is not None
-            assert task is not None
-            found[name] = (domain, task)
-        return found
-
-    @cached_property
     def _durations(self) -> Mapping[str, Mapping[str, float]]:
         """What an execution of each action takes in each environment of the bank, on average."""
         took: dict[str, dict[str, list[float]]] = {}
-        with Store.read(self.domains / "hdd" / "bank.sqlite") as store:
+        with Store.read(self.bank) as store:
             for each in store:
                 actions = took.setdefault(each.environment, {})
                 actions.setdefault(each.action.action, []).append(each.duration)
@@ -279,7 +269,7 @@ class AllocationStudy:
 
     @cached_property
     def _frequencies(self) -> Mapping[str, Mapping[DistributionKey, Sequence[Floats]]]:
-        bank = self.domains / "hdd" / "bank.sqlite"
+        bank = self.bank
         return {target: bank_frequencies(bank, [target]) for target in ("robot", "fine")}
 
 

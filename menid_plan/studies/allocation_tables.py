@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,43 +21,45 @@ _COLOURS = {PAPER: "#d1490e", TESTING: "#1f5fa8", ALONE: "#777777", GAIN: "#2e85
 
 
 def tables(cases: Sequence[Case]) -> Iterator[Table]:
-    """One for each group of problems and each penalty."""
+    """Five for each group of problems and each penalty: rewards, leads, regret, and what was done."""
     for group, penalty in dict.fromkeys((case.group, case.penalty) for case in cases):
         here = [case for case in cases if (case.group, case.penalty) == (group, penalty)]
         late = here[0].minutes[-1] / 60.0
-        early = min(EARLY, late)
-        rows = [("reward, at minutes", tuple(f"{early:g} / {late:g}" for _ in here))]
-        rows += [("idle", tuple("0 / 0" for _ in here))]
-        rows += [
-            (name, tuple(_pair(case, name, early, late) for case in here))
-            for name in (*OTHERS, GAIN)
-        ]
-        rows.append(("oracle", tuple(_oracle(case, early, late) for case in here)))
-        for minute in (early, late):
-            rows += [
-                (f"gain leads {name}, {minute:g}", tuple(_lead(c, name, minute) for c in here))
-                for name in OTHERS
-            ]
-        for name in (PAPER, TESTING):
-            rows += [
-                (f"regret, % of {name}'s, {minute:g}", tuple(_share(c, name, minute) for c in here))
-                for minute in (early, late)
-            ]
-        rows.append(("most behind T = 0, %", tuple(f"{behind(case):.1f}" for case in here)))
-        rows.append(("loses to none, %", tuple(f"{lost(case):.1f}" for case in here)))
-        rows.append(("successes, failures", tuple("" for _ in here)))
-        rows += [
-            (f"  {name}", tuple(_ends(case, name) for case in here)) for name in (*OTHERS, GAIN)
-        ]
-        rows.append(("tests", tuple("" for _ in here)))
-        rows += [
-            (f"  {name}", tuple(f"{case.counts[name][:, 3].mean():.0f}" for case in here))
-            for name in (TESTING, GAIN)
-        ]
+        times = (min(EARLY, late), late)
+        when = " and ".join(f"{minute:g}" for minute in times)
         title = f"{group}, penalty {penalty:g}"
-        yield Table(
-            title, "", tuple(case.name.removeprefix("drive: ") for case in here), tuple(rows)
-        )
+        names = (*OTHERS, GAIN)
+        yield _table(f"{title}: reward after {when} minutes", ("idle", *names, "oracle"), {
+            case.short: ["0", *(_pair(case, name, times) for name in names), _oracle(case, times)]
+            for case in here
+        })  # fmt: skip
+        for minute in times:
+            yield _table(f"{title}: how much more gain earns by minute {minute:g} than", OTHERS, {
+                case.short: [_lead(case, name, minute) for name in OTHERS] for case in here
+            })  # fmt: skip
+        yield _table(
+            f"{title}: gain's regret in % of that of T = 0 and T = 20, after {when} minutes;\n"
+            "how far it is behind T = 0 at the worst minute, and behind no simulator in the end, in % "
+            "of the oracle's reward", (PAPER, TESTING, f"behind {PAPER}", f"behind {ALONE}"), {
+                case.short: [
+                    *(" / ".join(_share(case, n, t) for t in times) for n in (PAPER, TESTING)),
+                    f"{behind(case):.1f}", f"{lost(case):.1f}",
+                ]
+                for case in here
+            },
+        )  # fmt: skip
+        columns = (*names, "tests: T = 20", "gain")
+        yield _table(f"{title}: executions = successes + failures; tests", columns, {
+            case.short: [
+                *(_ends(case, name) for name in names),
+                *(f"{case.counts[name][:, 3].mean():.0f}" for name in (TESTING, GAIN)),
+            ]
+            for case in here
+        })  # fmt: skip
+
+
+def _table(title: str, columns: tuple[str, ...], rows: Mapping[str, Sequence[str]]) -> Table:
+    return Table(title, "", columns, tuple((name, tuple(cells)) for name, cells in rows.items()))
 
 
 def behind(case: Case) -> float:
@@ -72,16 +74,18 @@ def lost(case: Case) -> float:
     return 100.0 * float(gap) / max(float(case.oracle.mean()), 1e-12)
 
 
-def _pair(case: Case, name: str, early: float, late: float) -> str:
+def _pair(case: Case, name: str, times: Sequence[float]) -> str:
     means = case.rewards[name].mean(axis=0)
-    return " / ".join(f"{means[case.at(minute)]:.1f}" for minute in (early, late))
+    return "/".join(_number(means[case.at(minute)]) for minute in times)
 
 
-def _oracle(case: Case, early: float, late: float) -> str:
+def _oracle(case: Case, times: Sequence[float]) -> str:
     mean = float(case.oracle.mean())
-    return " / ".join(
-        f"{mean * case.minutes[case.at(m)] / case.minutes[-1]:.1f}" for m in (early, late)
-    )
+    return "/".join(_number(mean * case.minutes[case.at(m)] / case.minutes[-1]) for m in times)
+
+
+def _number(value: float) -> str:
+    return f"{value:.1f}" if abs(value) < 100.0 else f"{value:.0f}"
 
 
 def _lead(case: Case, name: str, minute: float) -> str:
@@ -96,8 +100,8 @@ def _share(case: Case, name: str, minute: float) -> str:
 
 
 def _ends(case: Case, name: str) -> str:
-    _, won, failed, _ = case.counts[name].mean(axis=0).tolist()
-    return f"{won:.0f}, {failed:.0f}"
+    done, won, failed, _ = case.counts[name].mean(axis=0).tolist()
+    return f"{done:.0f}={won:.0f}+{failed:.0f}"
 
 
 def rewards_csv(cases: Sequence[Case]) -> str:
