@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -80,6 +81,8 @@ def test_rewards_are_those_at_the_time(tmp_path: Path, monkeypatch: pytest.Monke
     made = study(hours=0.01, penalties=(5.0,), runs=1, studies=("robot",), every=6.0)
 
     class Learning:
+        evidence = SimpleNamespace(keys=(), domain=made.domain)
+
         def __init__(self, *_: object, watch: Callable[[Point], None], **__: object) -> None:
             self.watch = watch
 

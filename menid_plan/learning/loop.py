@@ -106,10 +106,10 @@ class Loop:
         self._idle = 0
         self._tested = 0.0  # seconds of the clock
         self._now = 0.0  # the time of the last point, which is the same when a run is resumed
-        self._gain: Gain | None = None
+        self.gain: Gain | None = None
         if settings.allocate in ("gain", "target-only"):
             tests = bound.tests if settings.allocate == "gain" else ()
-            self._gain = Gain(planner, evidence, (bound.target, *tests), settings)
+            self.gain = Gain(planner, evidence, (bound.target, *tests), settings)
 
     # ------------------------------------------------------------------------------ the algorithm
 
@@ -131,8 +131,8 @@ class Loop:
         if self._episode_is_over():
             self._end_episode("an episode is over")
             return
-        if self._gain is not None and self._gain.knows(self.state):
-            self._weigh_up(self._gain)
+        if self.gain is not None and self.gain.knows(self.state):
+            self._weigh_up(self.gain)
             return
         state = self.state  # 3
         action = self._decide(state)  # 4, 5
@@ -301,15 +301,15 @@ class Loop:
         progress.executions[experience.environment] += 1
         progress.spent[experience.environment] += experience.duration
         self._idle = self._idle + 1 if experience.duration == 0.0 else 0
-        if self._gain is not None:
-            self._gain.took(experience)
+        if self.gain is not None:
+            self.gain.took(experience)
         if experience.explanation is None:
             progress.unexplained += 1
             return
         key = experience.explanation.key(experience.action)
         self.evidence.add(experience.environment, key, experience.explanation.weights)
-        if self._gain is not None:
-            self._gain.learned(key, experience, experience.explanation.weights)
+        if self.gain is not None:
+            self.gain.learned(key, experience, experience.explanation.weights)
         self._deltas.pop((experience.environment, key), None)
 
     # --------------------------------------------------------------------------- episodes, the end
