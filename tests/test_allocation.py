@@ -389,9 +389,6 @@ def test_the_target_only(tmp_path: Path) -> None:
 
 def test_a_run_that_was_stopped_goes_on_as_if_it_was_not(tmp_path: Path) -> None:
     whole, points = learned(tmp_path / "whole", drive("robot", "coarse"), steps=30)
-    learned(tmp_path / "parts", drive("robot", "coarse"), steps=11)
-    # A limit changes what a run thinks is left, so the parts are of one that was killed.
-    (tmp_path / "killed").mkdir()
 
     class KilledError(Exception):
         pass
@@ -401,15 +398,25 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_was_not(tmp_path: Path) -> None
             raise KilledError
 
     run = Run(
-        tmp_path / "killed" / "run", drive("robot", "coarse"),
+        tmp_path / "killed", drive("robot", "coarse"),
         LearnSettings(seed=3, allocate="gain", objective="reward", steps=30), WorkersTable(0),
         params={"fail": 5.0}, watch=kill,
     )  # fmt: skip
     with pytest.raises(KilledError):
         run.learn()
-    resumed, more = learned(tmp_path / "killed" / "run", drive("robot", "coarse"), steps=30)
+    resumed, more = learned(tmp_path / "killed", drive("robot", "coarse"), steps=30)
     assert more == points
     assert resumed.loop.progress.executions == whole.loop.progress.executions
+
+
+def test_a_run_gets_more_time(tmp_path: Path) -> None:
+    """What is decided depends on the time that is left; what was done was decided by another limit."""
+    _, first = learned(tmp_path / "run", drive("fine", "coarse"), steps=8)
+    _, second = learned(tmp_path / "run", drive("fine", "coarse"), steps=40)
+    run, third = learned(tmp_path / "run", drive("fine", "coarse"), steps=None, hours=0.05)
+    assert second[: len(first)] == first
+    assert third[: len(second)] == second
+    assert run.loop.progress.steps > 40
 
 
 def test_what_a_test_cannot_be_put_into_is_not_tested(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -20,6 +20,10 @@ from menid_plan.grounding.state import GroundAction
 
 Reason: TypeAlias = Literal["failed", "cannot-reset"]
 """Why a test was given up: every attempt failed, or the environment can't be put into the state."""
+
+
+Limits: TypeAlias = Mapping[str, float]
+"""When a run is to end: ``steps``, ``episodes``, ``hours``, those that are given."""
 
 
 def told_events(path: Path) -> Iterator[dict[str, Any]]:
@@ -36,13 +40,15 @@ class Events:
     """The events of a run, those that were there already read.
 
     ``failed`` counts attempts at executions by environment that came to nothing. ``decisions`` has what
-    was decided, by the number of the decision.
+    was decided, by the number of the decision. ``limits`` says when the run was to end, and how many
+    experiences it had, each time that it was begun or gone on with.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self.failed: Counter[str] = Counter()
         self.decisions: dict[int, GroundAction | None] = {}
+        self.limits: list[tuple[int, Limits]] = []
         self._given_up: dict[tuple[str, str, int], Reason] = {}
         self._broken_off: Counter[int] = Counter()
         if path.exists():
@@ -69,9 +75,12 @@ class Events:
                         name, arguments = found
                         found = GroundAction(str(name), tuple(map(str, list(arguments))))
                     self.decisions[event["number"]] = found
+                case "starts" | "resumes":
+                    limits = {str(k): float(v) for k, v in event["limits"].items() if v is not None}
+                    self.limits.append((int(event["stored"]), limits))
                 case "broken off":
                     self._broken_off[event["step"]] += 1
-        except (ValueError, LookupError, TypeError, RecursionError):
+        except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
             return  # whoever wrote it, it was not this program
 
     def write(self, event: str, **more: Any) -> None:

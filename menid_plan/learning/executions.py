@@ -66,6 +66,7 @@ class Executions:
     ) -> None:
         self.replay = Replay(store, store.path)
         self.failed = events.failed
+        self.limits = events.limits
         self._bound = bound
         self._target = bound.target
         self._seed = seed

@@ -25,6 +25,7 @@ from menid_plan.learning.clock import Clock
 from menid_plan.learning.confidence import delta
 from menid_plan.learning.counts import Evidence
 from menid_plan.learning.curve import Point
+from menid_plan.learning.events import Limits
 from menid_plan.learning.executions import BrokenOffError, Executions
 from menid_plan.learning.planner import Planner
 from menid_plan.learning.settings import LearnSettings
@@ -164,17 +165,27 @@ class Loop:
 
     def _seconds_left(self, gain: Gain) -> float:
         """How long the run will go on, as far as one can tell."""
-        settings, progress = self.settings, self.progress
+        progress, limits = self.progress, self._limits()
         each = gain.execution_seconds()
-        limits = []
-        if settings.hours is not None:
-            limits.append(settings.hours * 3600.0 - self._now)
-        if settings.steps is not None:
-            limits.append((settings.steps - progress.steps) * each)
-        if settings.episodes is not None:
+        found = []
+        if "hours" in limits:
+            found.append(limits["hours"] * 3600.0 - self._now)
+        if "steps" in limits:
+            found.append((limits["steps"] - progress.steps) * each)
+        if "episodes" in limits:
             steps = max(1.0, progress.steps / max(1, progress.episodes))
-            limits.append((settings.episodes - progress.episodes) * steps * each)
-        return max(0.0, min(limits))
+            found.append((limits["episodes"] - progress.episodes) * steps * each)
+        return max(0.0, min(found))
+
+    def _limits(self) -> Limits:
+        """When the run is to end; in a repetition, as it was known then."""
+        done = self.progress.executions.total()
+        known = [limits for stored, limits in self.executions.limits if stored <= done]
+        if known and known[-1] and not self.executions.replay.over:
+            return known[-1]
+        settings = self.settings
+        own = {"hours": settings.hours, "steps": settings.steps, "episodes": settings.episodes}
+        return {name: limit for name, limit in own.items() if limit is not None}
 
     def _decide(self, state: State) -> GroundAction | None:
         if not self.planner.is_asked:

@@ -138,7 +138,8 @@ class Run:
         with self._opened, self._interrupts:
             versions = {"menid-plan": __version__, "numpy": np.__version__}
             started = "resumes" if self.resumed else "starts"
-            self._event(started, stored=len(self.store), versions=versions)
+            limits = {name: getattr(self.settings, name) for name in LIMITS}
+            self._event(started, stored=len(self.store), versions=versions, limits=limits)
             try:
                 self.loop.run()
             except BaseException as error:
