@@ -112,7 +112,7 @@ def test_what_is_there_is_not_done_again(
 def test_tables_figures_and_rows(made: tuple[Path, list[Case]]) -> None:
     _, cases = made
     shown = list(tables(cases))
-    assert len(shown) == 3 * 2 * 5
+    assert len(shown) == 3 * 2 * 6
     rewards = shown[0]
     assert rewards.title == "20 random actions, penalty 0: reward after 10 and 60 minutes"
     assert rewards.columns == ("idle", PAPER, TESTING, ALONE, GAIN, "oracle")
