@@ -211,11 +211,11 @@ def test_the_goal_is_out_of_reach_when_too_few_steps_are_left(menid: Menid, tmp_
 
 
 SHIPPED = [
-    "blocks/tidy-up", "blocks/turn-over", "exploding-blocks/swap", "exploding-blocks/unstack",
-    "greenhouse/long-bench", "greenhouse/two-pots", "hdd/bench", "hdd/drive", "hdd/line",
-    "maintenance/plant", "maintenance/workshop", "rescue/corridor", "rescue/house",
-    "slippery-grid/lake", "slippery-grid/pond", "tireworld/triangle-1", "tireworld/triangle-2",
-    "tireworld/triangle-3",
+    "assembly/peg", "assembly/pin", "blocks/tidy-up", "blocks/turn-over", "exploding-blocks/swap",
+    "exploding-blocks/unstack", "greenhouse/long-bench", "greenhouse/two-pots", "hdd/bench",
+    "hdd/drive", "hdd/line", "maintenance/plant", "maintenance/workshop", "rescue/corridor",
+    "rescue/house", "slippery-grid/lake", "slippery-grid/pond", "stones/brook", "stones/river",
+    "tireworld/triangle-1", "tireworld/triangle-2", "tireworld/triangle-3",
 ]  # fmt: skip
 LARGE = {"blocks/tower", "exploding-blocks/tower"}  # over 60,000 states
 
