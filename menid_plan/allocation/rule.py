@@ -17,7 +17,9 @@ from menid_plan.mdp.model import Floats, Ints
 TESTS: Ints = np.array([1, 4, 16, 64])
 EXECUTIONS: Ints = np.array([1, 2, 4, 8, 16, 32])
 # For so many executions what a test taught is counted as gain: later the target itself would teach it.
-USED_FOR = 20.0
+# It does so the later the more a failure costs, in terms of the highest reward.
+USED_FOR = 10.0
+MOST_COSTLY = 11.0
 # Time for tests: as much as so many executions take, and a share of the clock.
 FIRST_TESTS = 10.0
 SHARE = 0.25
@@ -89,7 +91,7 @@ class Rule:
         if tested > FIRST_TESTS * execution + SHARE * passed:
             return None
         best: Tests | None = None
-        used = min(USED_FOR * execution, left)
+        used = min(USED_FOR * (1.0 + self._costly(view)) * execution, left)
         floor = LEAST_WORTH * view.most
         for test in range(self.belief.tests):
             rows = np.flatnonzero(np.isfinite(view.test_seconds[test]))
@@ -113,6 +115,14 @@ class Rule:
                 row = np.flatnonzero(of == of[row])[gains[of == of[row], size].argmax()]
                 best = Tests(int(rows[row]), test, int(TESTS[size]), float(net[row, size]))
         return best
+
+    def _costly(self, view: View) -> float:
+        """The largest difference that an outcome makes, in units of the highest reward, from 1 on."""
+        has = np.arange(view.payoffs.shape[1]) < self.belief.outcomes[view.distribution][:, None]
+        high = np.where(has, view.payoffs, -np.inf).max(axis=1)
+        span = float((high - np.where(has, view.payoffs, np.inf).min(axis=1)).max())
+        highest = view.most * float(view.seconds.mean())
+        return min(max(1.0, span / highest), MOST_COSTLY) if highest > 0.0 else MOST_COSTLY
 
     def bonuses(self, view: View, left: float) -> Floats:
         """What an execution of each distribution teaches is worth: float64[D], in units of reward."""
