@@ -19,7 +19,15 @@ from learning_runs import DONE, EMPTY, PROBLEM, READY, Journey, bound
 from menid_plan.allocation import worth
 from menid_plan.allocation.belief import LEAST, PRIOR, STRENGTH, Belief, classes, related
 from menid_plan.allocation.decide import Model, TooLargeError
-from menid_plan.allocation.rule import EXECUTIONS, FIRST_TESTS, SHARE, TESTS, Rule, View
+from menid_plan.allocation.rule import (
+    EXECUTIONS,
+    FIRST_TESTS,
+    SHARE,
+    TESTS,
+    Rule,
+    View,
+    costliness,
+)
 from menid_plan.environments.recorded import Recorded
 from menid_plan.environments.runfile import Bound, WorkersTable
 from menid_plan.environments.simulated import Simulated
@@ -250,6 +258,20 @@ def test_tests_have_a_budget_and_must_be_possible() -> None:
     found = rule.tests(one, 3600.0, 0.0, 0.0)
     assert found is not None
     assert found.row == 2
+
+
+def test_what_a_test_taught_counts_for_longer_where_failures_are_dear() -> None:
+    belief = bandit(4)
+    rule = rule_of(belief)
+    found = [costliness(view_of(belief, c), belief.outcomes) for c in (0.0, 5.0, 10.0, 50.0)]
+    assert found == pytest.approx([1.0, 6.0, 11.0, 11.0])
+    # With little time left it makes no difference, with much it does.
+    view = view_of(belief, 5.0)
+    short, long, longer = (rule.tests(view, left, 0.0, 0.0) for left in (60.0, 2100.0, 9000.0))
+    assert short is None or long is None or short.gain < long.gain
+    assert long is not None
+    assert longer is not None
+    assert long.gain == longer.gain  # 70 executions of 30 s
 
 
 def test_a_slower_test_is_chosen_only_where_it_says_more() -> None:

@@ -91,7 +91,7 @@ class Rule:
         if tested > FIRST_TESTS * execution + SHARE * passed:
             return None
         best: Tests | None = None
-        used = min(USED_FOR * (1.0 + self._costly(view)) * execution, left)
+        used = min(USED_FOR * (1.0 + costliness(view, self.belief.outcomes)) * execution, left)
         floor = LEAST_WORTH * view.most
         for test in range(self.belief.tests):
             rows = np.flatnonzero(np.isfinite(view.test_seconds[test]))
@@ -116,21 +116,12 @@ class Rule:
                 best = Tests(int(rows[row]), test, int(TESTS[size]), float(net[row, size]))
         return best
 
-    def _costly(self, view: View) -> float:
-        """The largest difference that an outcome makes, in units of the highest reward, from 1 on."""
-        has = np.arange(view.payoffs.shape[1]) < self.belief.outcomes[view.distribution][:, None]
-        high = np.where(has, view.payoffs, -np.inf).max(axis=1)
-        span = float((high - np.where(has, view.payoffs, np.inf).min(axis=1)).max())
-        highest = view.most * float(view.seconds.mean())
-        return min(max(1.0, span / highest), MOST_COSTLY) if highest > 0.0 else MOST_COSTLY
-
     def bonuses(self, view: View, left: float) -> Floats:
         """What an execution of each distribution teaches is worth: float64[D], in units of reward."""
         rows, gains = self._gains(view, np.arange(len(view.distribution)), None)
         found = np.zeros(len(self.order))
         if len(rows):
             took = view.seconds[rows][:, None] * EXECUTIONS
-            # Of what cannot be executed so often any more, one is.
             worths = gains * np.maximum(left - took, 0.0) / EXECUTIONS
             total = np.zeros((len(found), len(EXECUTIONS)))
             np.add.at(total, view.distribution[rows], worths)
@@ -212,3 +203,15 @@ class Rule:
             sizes, space, gains,
         )  # fmt: skip
         return gains
+
+
+def costliness(view: View, outcomes: Ints) -> float:
+    """The largest difference that an outcome makes, in units of the highest reward: from 1 to 11.
+
+    ``outcomes`` (int64[D]) is how many each distribution has.
+    """
+    has = np.arange(view.payoffs.shape[1]) < outcomes[view.distribution][:, None]
+    high = np.where(has, view.payoffs, -np.inf).max(axis=1)
+    span = float((high - np.where(has, view.payoffs, np.inf).min(axis=1)).max())
+    highest = view.most * float(view.seconds.mean())
+    return min(max(1.0, span / highest), MOST_COSTLY) if highest > 0.0 else MOST_COSTLY

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import click
 
 from menid_plan.cli.common import json_option, load_both, print_table
-from menid_plan.cli.study_learning import penalties_of
+from menid_plan.cli.studying import jobs_option, penalties_option, seed_option
 from menid_plan.cli.tasks import tell_written
 from menid_plan.files import replace_file
 from menid_plan.interrupts import tidied_up
@@ -34,20 +33,13 @@ from menid_plan.interrupts import tidied_up
     "--hours", type=click.FloatRange(0, 1000, min_open=True), default=1.0, show_default=True,
     help="How long such a run takes on the virtual clock; with random actions it is an hour.",
 )  # fmt: skip
-@click.option(
-    "--penalties", default="0,5,10", show_default=True, metavar="C,...",
-    help="What a failure costs, where a success brings in 1.",
-)  # fmt: skip
-@click.option(
-    "--jobs", type=click.IntRange(1), default=os.cpu_count() or 1, metavar="J",
-    help="How many runs at once; as many as there are cores if left out.",
-)  # fmt: skip
-@click.option(
-    "--seed", type=click.IntRange(0), default=0, show_default=True, metavar="S",
-    help="The same seed gives the same files.",
-)  # fmt: skip
+@penalties_option
+@jobs_option
+@seed_option
 @json_option
-def command(folder: Path, penalties: str, jobs: int, as_json: bool, **options: Any) -> None:
+def command(
+    folder: Path, penalties: tuple[float, ...], jobs: int, as_json: bool, **options: Any
+) -> None:
     """Compare ways to choose between tests and executions.
 
     With random actions and simulators that are right or lie, on the hard drive, and in two domains
@@ -67,7 +59,7 @@ def command(folder: Path, penalties: str, jobs: int, as_json: bool, **options: A
         )
     }  # fmt: skip
     bank = domains / "hdd" / "bank.sqlite"
-    study = AllocationStudy(models, bank, penalties_of(penalties), **options)
+    study = AllocationStudy(models, bank, penalties, **options)
     folder.mkdir(parents=True, exist_ok=True)
     runs = folder / "allocation-runs.jsonl"
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from menid_plan.cli.common import json_option
+from menid_plan.cli.studying import seed_option
 from menid_plan.files import replace_file
 
 if TYPE_CHECKING:
@@ -21,10 +22,7 @@ if TYPE_CHECKING:
     type=click.Path(file_okay=False, path_type=Path),
     help="The folder for delta.csv, delta.json and delta.png.",
 )  # fmt: skip
-@click.option(
-    "--seed", type=click.IntRange(0), default=0, show_default=True, metavar="S",
-    help="The same seed gives the same files.",
-)  # fmt: skip
+@seed_option
 @click.option(
     "--samples-up-to", "largest", type=click.IntRange(1), default=1000, show_default=True,
     metavar="N", help="How large the samples grow.",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from menid_plan.cli.common import (
     load_both,
     print_table,
 )
-from menid_plan.cli.study_learning import penalties_of
+from menid_plan.cli.studying import jobs_option, penalties_option, seed_option
 from menid_plan.cli.tasks import tell_written
 from menid_plan.files import replace_file
 from menid_plan.interrupts import tidied_up
@@ -44,25 +43,21 @@ from menid_plan.interrupts import tidied_up
     "--repetitions", type=click.IntRange(1, 1_000_000), default=4000, show_default=True, metavar="N",
     help="How many truths of each kind of random rule.",
 )  # fmt: skip
-@click.option(
-    "--penalties", default="0,5,10", show_default=True, metavar="C,...",
-    help="What a failure costs, where a success brings in 1.",
-)  # fmt: skip
+@penalties_option
 @click.option(
     "--bank", type=existing_file, metavar="STORE",
     help="Experiences that stand for the hard drive; by default those of the project.",
 )  # fmt: skip
-@click.option(
-    "--jobs", type=click.IntRange(1), default=os.cpu_count() or 1, metavar="J",
-    help="How many runs at once; as many as there are cores if left out.",
-)  # fmt: skip
-@click.option(
-    "--seed", type=click.IntRange(0), default=0, show_default=True, metavar="S",
-    help="The same seed gives the same files.",
-)  # fmt: skip
+@jobs_option
+@seed_option
 @json_option
 def command(
-    folder: Path, penalties: str, bank: str | None, jobs: int, as_json: bool, **options: Any
+    folder: Path,
+    penalties: tuple[float, ...],
+    bank: str | None,
+    jobs: int,
+    as_json: bool,
+    **options: Any,
 ) -> None:
     """Compare the estimators: their errors, and the reward that is earned by them.
 
@@ -78,7 +73,7 @@ def command(
     drive = shipped("domains") / "hdd"
     domain, problem = load_both([str(drive / f"{name}.menid") for name in ("domain", "drive")])
     study = EstimatorStudy(
-        domain, problem, Path(bank or drive / "bank.sqlite"), penalties_of(penalties), **options
+        domain, problem, Path(bank or drive / "bank.sqlite"), penalties, **options
     )
     folder.mkdir(parents=True, exist_ok=True)
     runs = folder / "estimators-runs.jsonl"

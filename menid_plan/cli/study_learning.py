@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +16,7 @@ from menid_plan.cli.common import (
     load_both,
     print_table,
 )
+from menid_plan.cli.studying import jobs_option, penalties_option, seed_option
 from menid_plan.cli.tasks import tell_written
 from menid_plan.files import replace_file
 from menid_plan.interrupts import tidied_up
@@ -37,10 +37,7 @@ if TYPE_CHECKING:
     "--target", type=click.Choice(("fine", "robot", "both")), default="both", show_default=True,
     help="Which environment is the target.",
 )  # fmt: skip
-@click.option(
-    "--penalties", default="0,5,10", show_default=True, metavar="C,...",
-    help="What a failure costs, where a success brings in 1.",
-)  # fmt: skip
+@penalties_option
 @click.option(
     "--runs", type=click.IntRange(1, 100_000), default=5, show_default=True, metavar="N",
     help="How many runs of each learner; for verdicts 30.",
@@ -64,17 +61,11 @@ if TYPE_CHECKING:
 @click.option(
     "--live", is_flag=True, help="Execute in the PyBullet scenes: slow, and needs menid-plan[hdd]."
 )
-@click.option(
-    "--jobs", type=click.IntRange(1), default=os.cpu_count() or 1, metavar="J",
-    help="How many runs at once; as many as there are cores if left out.",
-)  # fmt: skip
-@click.option(
-    "--seed", type=click.IntRange(0), default=0, show_default=True, metavar="S",
-    help="The same seed gives the same files.",
-)  # fmt: skip
+@jobs_option
+@seed_option
 @json_option
 def command(
-    folder: Path, target: str, penalties: str, bank: str | None, live: bool, jobs: int,
+    folder: Path, target: str, penalties: tuple[float, ...], bank: str | None, live: bool, jobs: int,
     as_json: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Compare learning with tests in simulations and without, on the hard drive.
@@ -102,7 +93,7 @@ def command(
     study = LearningStudy(
         domain, problem, Path(bank or drive / "bank.sqlite"),
         read_run_file(drive / "robot.toml") if live else None,
-        studies[target], penalties_of(penalties), **options,
+        studies[target], penalties, **options,
     )  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)
     runs = folder / "learning-runs.jsonl"
@@ -125,17 +116,6 @@ def command(
         return
     _show(study, panels)
     tell_written(written, err=False)
-
-
-def penalties_of(text: str) -> tuple[float, ...]:
-    """What --penalties lists; click.UsageError if that makes no sense."""
-    try:
-        found = tuple(dict.fromkeys(float(each) for each in text.split(",")))
-    except ValueError:
-        raise click.UsageError(f"--penalties: `{text}` is no list of numbers") from None
-    if not all(0 <= each < math.inf for each in found):
-        raise click.UsageError(f"--penalties: `{text}`: they must be finite, and not below 0")
-    return found
 
 
 def _show(study: LearningStudy, panels: Sequence[Panel]) -> None:
