@@ -26,7 +26,7 @@ from menid_plan.allocation.rule import (
     TESTS,
     Rule,
     View,
-    costliness,
+    unit_and_span,
 )
 from menid_plan.environments.recorded import Recorded
 from menid_plan.environments.runfile import Bound, WorkersTable
@@ -263,8 +263,8 @@ def test_tests_have_a_budget_and_must_be_possible() -> None:
 def test_what_a_test_taught_counts_for_longer_where_failures_are_dear() -> None:
     belief = bandit(4)
     rule = rule_of(belief)
-    found = [costliness(view_of(belief, c), belief.outcomes) for c in (0.0, 5.0, 10.0, 50.0)]
-    assert found == pytest.approx([1.0, 6.0, 11.0, 11.0])
+    found = [unit_and_span(view_of(belief, c), belief.outcomes) for c in (0.0, 5.0, 10.0, 54.0)]
+    assert found == [pytest.approx(each) for each in ((1, 1), (1, 6), (1, 11), (1, 55))]
     # With little time left it makes no difference, with much it does.
     view = view_of(belief, 5.0)
     short, long, longer = (rule.tests(view, left, 0.0, 0.0) for left in (60.0, 2100.0, 9000.0))
@@ -473,6 +473,18 @@ def test_durations_need_not_be_known(tmp_path: Path) -> None:
     executions = run.loop.progress.executions
     assert executions["bench"] == 40
     assert 0 < executions["model"] < 4000
+
+
+def test_tests_that_take_no_time_come_to_an_end(tmp_path: Path) -> None:
+    """With a reward, and where there are only costs."""
+    kinds = {"model": Simulated(duration=0.0)}
+    environments = bound(Simulated(duration=10.0), kinds, {"model": 0.0, "bench": 10.0})
+    run, _ = learned(tmp_path / "run", environments, steps=30)
+    assert 0 < run.loop.progress.executions["model"] < 20_000
+    only_costs = replace(PROBLEM, goal_reward=None)
+    environments = bound(Simulated(duration=10.0), kinds, {"model": 0.0, "bench": 10.0}, only_costs)
+    run, _ = learned(tmp_path / "costs", environments, steps=30)
+    assert run.loop.progress.executions["model"] < 20_000
 
 
 def test_from_the_command_line(menid: Menid, tmp_path: Path) -> None:

@@ -39,9 +39,9 @@ class View:
     brings in, what follows included, ``others`` (float64[R]) what the best of the other rows in its
     state does, and ``visits`` (float64[R]) how often a second its state is come to. ``seconds``
     (float64[R]) is how long an execution takes, ``test_seconds`` (float64[tests, R]) how long a test,
-    infinite where there can be none. A second earns ``rate`` if one does what is best by what is
-    expected, and ``hoped`` if one knew what is best; ``most`` is the highest reward that a second may
-    bring.
+    above 0, and infinite where there can be none. A second earns ``rate`` if one does what is best by
+    what is expected, and ``hoped`` if one knew what is best; ``most`` is the highest reward that a
+    second may bring.
     """
 
     distribution: Ints
@@ -91,8 +91,11 @@ class Rule:
         if tested > FIRST_TESTS * execution + SHARE * passed:
             return None
         best: Tests | None = None
-        used = min(USED_FOR * (1.0 + costliness(view, self.belief.outcomes)) * execution, left)
-        floor = LEAST_WORTH * view.most
+        unit, span = unit_and_span(view, self.belief.outcomes)
+        if unit <= 0.0:
+            return None  # whatever comes of anything, it is all the same
+        used = min(USED_FOR * (1.0 + min(max(1.0, span / unit), MOST_COSTLY)) * execution, left)
+        floor = LEAST_WORTH * unit / execution
         for test in range(self.belief.tests):
             rows = np.flatnonzero(np.isfinite(view.test_seconds[test]))
             rows, gains = self._gains(view, rows, test)
@@ -104,10 +107,7 @@ class Rule:
             improved = total[of]
             took = view.test_seconds[test, rows][:, None] * TESTS
             price = np.maximum(np.maximum(view.hoped, view.rate + improved), floor)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                net = (improved * (used - took) - price * took) / took
-            # A test that takes no time is worth all that it teaches.
-            net = np.where(took > 0.0, net, np.where(improved > 0.0, np.inf, 0.0))
+            net = (improved * (used - took) - price * took) / took
             net = np.where(took <= left, net * (1.0 + ALIKE * self.order[of][:, None]), 0.0)
             row, size = np.unravel_index(int(net.argmax()), net.shape)
             if net[row, size] > (best.gain if best else 0.0):
@@ -205,13 +205,14 @@ class Rule:
         return gains
 
 
-def costliness(view: View, outcomes: Ints) -> float:
-    """The largest difference that an outcome makes, in units of the highest reward: from 1 to 11.
+def unit_and_span(view: View, outcomes: Ints) -> tuple[float, float]:
+    """The highest reward of an execution, and the largest difference that an outcome makes.
 
-    ``outcomes`` (int64[D]) is how many each distribution has.
+    Where all there is are costs, an eleventh of the second stands for the first. ``outcomes``
+    (int64[D]) is how many each distribution has.
     """
     has = np.arange(view.payoffs.shape[1]) < outcomes[view.distribution][:, None]
     high = np.where(has, view.payoffs, -np.inf).max(axis=1)
     span = float((high - np.where(has, view.payoffs, np.inf).min(axis=1)).max())
     highest = view.most * float(view.seconds.mean())
-    return min(max(1.0, span / highest), MOST_COSTLY) if highest > 0.0 else MOST_COSTLY
+    return highest if highest > 0.0 else span / MOST_COSTLY, span

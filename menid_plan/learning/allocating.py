@@ -18,6 +18,9 @@ from menid_plan.learning.planner import Planner
 from menid_plan.learning.settings import LearnSettings
 from menid_plan.mdp.model import Floats
 
+# A test is taken to take this part of an execution at least.
+QUICKEST = 1e-3
+
 
 @dataclass(frozen=True, slots=True)
 class ToTest:
@@ -34,8 +37,8 @@ class Gain:
 
     It knows the states of the problem: where an environment has come to another one, `knows` says so.
     ``environments`` are the target and the tests that may be used. What an execution takes is nominal,
-    else the mean of those seen, of the action or of all. Until one was seen, a test is taken to take no
-    time, and an execution in the target a second.
+    else the mean of those seen, of the action or of all. Until one was seen, a test is taken to take
+    next to no time, and an execution in the target a second.
     """
 
     def __init__(
@@ -71,6 +74,7 @@ class Gain:
         self._action = of_action[problem.tables.rule_action[structure.row_rule]]
         self._took: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
         self._seen: dict[str, Counter[str]] = defaultdict(Counter)
+        self._asked = (-1, -1)
         self._impossible: set[tuple[int, int]] = set()  # tests, by their number and the row
         self._decider = Decider(
             self._model, self._belief, self._seconds,
@@ -133,6 +137,8 @@ class Gain:
         found = np.array(known)[self._action] / lanes
         if environment == 0:
             return np.asarray(np.maximum(found, 1e-9))
+        # What takes no time would be tested for ever: how long it takes to decide is not counted.
+        found = np.maximum(found, QUICKEST * self.execution_seconds())
         for test, row in self._impossible:
             if test == environment - 1:
                 found[row] = np.inf
