@@ -17,9 +17,9 @@ from menid_plan.mdp.model import Floats, Ints
 TESTS: Ints = np.array([1, 4, 16, 64])
 EXECUTIONS: Ints = np.array([1, 2, 4, 8, 16, 32])
 # For so many executions what a test taught is counted as gain: later the target itself would teach it.
-# It does so the later the more a failure costs, in terms of the highest reward.
-USED_FOR = 10.0
-MOST_COSTLY = 11.0
+USED_FOR = 20.0
+# Where there are only costs, this part of the largest of them stands for the highest reward.
+PART_OF_COST = 1.0 / 11.0
 # Time for tests: as much as so many executions take, and a share of the clock.
 FIRST_TESTS = 10.0
 SHARE = 0.25
@@ -91,10 +91,10 @@ class Rule:
         if tested > FIRST_TESTS * execution + SHARE * passed:
             return None
         best: Tests | None = None
-        unit, span = unit_and_span(view, self.belief.outcomes)
+        unit = highest_reward(view, self.belief.outcomes)
         if unit <= 0.0:
             return None  # whatever comes of anything, it is all the same
-        used = min(USED_FOR * (1.0 + min(max(1.0, span / unit), MOST_COSTLY)) * execution, left)
+        used = min(USED_FOR * execution, left)
         floor = LEAST_WORTH * unit / execution
         for test in range(self.belief.tests):
             rows = np.flatnonzero(np.isfinite(view.test_seconds[test]))
@@ -205,14 +205,14 @@ class Rule:
         return gains
 
 
-def unit_and_span(view: View, outcomes: Ints) -> tuple[float, float]:
-    """The highest reward of an execution, and the largest difference that an outcome makes.
+def highest_reward(view: View, outcomes: Ints) -> float:
+    """The highest reward of an execution; where all there is are costs, a part of the largest.
 
-    Where all there is are costs, an eleventh of the second stands for the first. ``outcomes``
-    (int64[D]) is how many each distribution has.
+    ``outcomes`` (int64[D]) is how many each distribution has.
     """
+    if view.most > 0.0:
+        return view.most * float(view.seconds.mean())
     has = np.arange(view.payoffs.shape[1]) < outcomes[view.distribution][:, None]
     high = np.where(has, view.payoffs, -np.inf).max(axis=1)
     span = float((high - np.where(has, view.payoffs, np.inf).min(axis=1)).max())
-    highest = view.most * float(view.seconds.mean())
-    return highest if highest > 0.0 else span / MOST_COSTLY, span
+    return PART_OF_COST * span
