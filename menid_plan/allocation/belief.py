@@ -73,6 +73,9 @@ class Belief:
     """
 
     def __init__(self, outcomes: Sequence[int], groups: Sequence[int], tests: int) -> None:
+        from scipy.special import gammaln  # to load it takes longer than a decision
+
+        self._log_gamma = gammaln
         self.outcomes: Ints = np.array(outcomes, np.int64)
         self.groups: Ints = np.array(groups, np.int64)
         self.tests = tests
@@ -135,8 +138,6 @@ class Belief:
 
     def _refresh(self, index: int) -> None:
         """Make the components of one distribution, and see how well each foresaw the target."""
-        from scipy.special import gammaln
-
         k = int(self.outcomes[index])
         target, *tests = self.counts[index, :, :k]
         for test, seen in enumerate(tests):
@@ -145,13 +146,13 @@ class Belief:
                 columns = slice(RELATIONS * test, RELATIONS * (test + 1))
                 self.parameters[index, columns, :k] = related(seen)
                 self._has[index, columns] = True
-        has = self._has[index]
+        has, log_gamma = self._has[index], self._log_gamma
         before = self.parameters[index, has, :k]
         if target.any():
             after = before + target
             self._fit[index, has] = (
-                (gammaln(after) - gammaln(before)).sum(axis=1)
-                - gammaln(after.sum(axis=1)) + gammaln(before.sum(axis=1))
+                (log_gamma(after) - log_gamma(before)).sum(axis=1)
+                - log_gamma(after.sum(axis=1)) + log_gamma(before.sum(axis=1))
             )  # fmt: skip
 
     def _learned(self, executed: Bools) -> Weights:
