@@ -21,8 +21,7 @@ import numpy as np
 
 from menid_plan.mdp.model import Bools, Floats, Ints
 
-CLOSELY, LOOSELY, INVERTED = range(3)
-RELATIONS = 3
+RELATIONS = 3  # closely, loosely, the other way round
 # How many executions in the target what a test shows is worth, however often it was tested.
 STRENGTH = np.array([300.0, 8.0, 30.0])
 # Pseudo counts of the relations to one test, and of taking after none.

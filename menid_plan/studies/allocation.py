@@ -109,12 +109,7 @@ class AllocationStudy:
         for name, penalty, learner, number in self._drawn():
             wanted = self._wanted(name, penalty, learner, number)
             work[wanted.name] = partial(piece, wanted, self.grid, folder)
-        bandits = [
-            Bandit(actions, number, self.seed, self.penalties)
-            for actions in ACTIONS
-            for number in range(self.bandits)
-        ]
-        work |= {task.name: task.run for task in bandits}
+        work |= {task.name: task.run for actions in ACTIONS for task in self._tasks(actions)}
         found = done(work, file, self.origin(), jobs, told, lambda name: forget(folder, name))
         shutil.rmtree(folder, ignore_errors=True)
         return [*self._bandit_cases(found), *self._model_cases(found)]
@@ -133,10 +128,12 @@ class AllocationStudy:
 
     # ------------------------------------------------------------------------------ random actions
 
+    def _tasks(self, actions: int) -> list[Bandit]:
+        return [Bandit(actions, i, self.seed, self.penalties) for i in range(self.bandits)]
+
     def _bandit_cases(self, found: Mapping[str, Row]) -> Iterator[Case]:
         for actions in ACTIONS:
-            tasks = [Bandit(actions, i, self.seed, self.penalties) for i in range(self.bandits)]
-            rows = [found[task.name] for task in tasks]
+            rows = [found[task.name] for task in self._tasks(actions)]
             for simulator in SIMULATORS:
                 for penalty in self.penalties:
                     here = [row[simulator][f"{penalty:g}"] for row in rows]
